@@ -1,0 +1,37 @@
+# make sweep   run the paper sweeps and the small atlas; stores and pictures under results/
+# make test    lint, types and all tests
+# make picture remake the README's picture; make clean removes environment and results
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+SWEEPS := paper-welded paper-contact period-map atlas-small
+
+.PHONY: sweep test lint picture clean
+
+sweep: $(VENV)/installed
+	@mkdir -p results
+	@for name in $(SWEEPS); do \
+	  if [ -e results/$$name.zarr ]; then $(BIN)/fic-sweep resume results/$$name.zarr; \
+	  else $(BIN)/fic-sweep run $$name --out results/$$name.zarr; fi || exit $$?; \
+	done
+	@$(BIN)/python -m figures.overview results
+
+test: lint
+	$(BIN)/pytest -n 2
+
+lint: $(VENV)/installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+picture: sweep
+	$(BIN)/python -m figures.overview results --readme docs/overview.png
+
+$(VENV)/installed: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "fic_jax needs Python 3.11 or newer; make PYTHON=...")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,export]'
+	@touch $@
+
+clean:
+	rm -rf $(VENV) results

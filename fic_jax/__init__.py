@@ -1,0 +1,31 @@
+"""fic_jax: the Fractal Impedance Controller (Tiseo et al. 2020), simulated by the million."""
+
+from fic_jax._version import __version__
+from fic_jax.engine import sweep, tune_for_throughput
+from fic_jax.metrics import METRICS, Metrics, evaluate
+from fic_jax.params import CHOICES, QUANTITIES, Model, Params, ParamsError
+from fic_jax.profile import energy, force
+from fic_jax.simulation import Memory, Sample, State, control, init, rollout, step
+
+__all__ = [
+    "CHOICES",
+    "METRICS",
+    "QUANTITIES",
+    "Memory",
+    "Metrics",
+    "Model",
+    "Params",
+    "ParamsError",
+    "Sample",
+    "State",
+    "__version__",
+    "control",
+    "energy",
+    "evaluate",
+    "force",
+    "init",
+    "rollout",
+    "step",
+    "sweep",
+    "tune_for_throughput",
+]

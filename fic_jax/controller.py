@@ -1,0 +1,75 @@
+"""Algorithm 1: the fractal attractor, its memory and its torque."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from fic_jax.params import Model, Params, Scalar
+from fic_jax.profile import energy, force
+
+REST_BAND = 0.01  # rad/s, below which `velocity_band` counts the joint as at rest
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Attractor:
+    """The attractor as one plant step sees it: fixed while the step integrates."""
+
+    diverging: jax.Array  # bool
+    e_M: jax.Array  # rad, signed peak error
+    energy_slope: jax.Array  # N*m/rad, 4 E_K(e_M)/e_M^2
+    effort_slope: jax.Array  # N*m/rad, 2 F_K(e_M)/e_M
+
+
+def diverges(e: Scalar, v: Scalar, e_last: Scalar, model: Model) -> jax.Array:
+    """Whether the joint moves away from the reference (`Model.divergence`).
+
+    `e_last` is |e| at the previous decision (rad); only `error_rate` reads it.
+    """
+    if model.divergence == "error_rate":
+        return jnp.abs(e) > e_last
+    away = e * v <= 0.0
+    if model.divergence == "velocity_band":
+        away = away | (jnp.abs(v) < REST_BAND)
+    return away
+
+
+def latch(e: Scalar, v: Scalar, e_M: Scalar, e_last: Scalar, p: Params, model: Model) -> Attractor:
+    """Decide the branch and the peak error for the coming step (Algorithm 1, first half).
+
+    While diverging e_M follows e; while converging it is held (`latched`), or follows an
+    error that is larger or of the other sign (`running`).
+    """
+    diverging = diverges(e, v, e_last, model)
+    follow = diverging
+    if model.peak == "running":
+        follow = follow | (jnp.abs(e) > jnp.abs(e_M)) | (e * e_M < 0.0)
+    e_M = jnp.where(follow, e, e_M)
+    return Attractor(diverging, e_M, *_slopes(e_M, p))
+
+
+def _slopes(e_M: Scalar, p: Params) -> tuple[jax.Array, jax.Array]:
+    """Both slopes of Algorithm 1. In the linear zone both are 2 K0, their limit at e_M = 0."""
+    peak = jnp.abs(e_M)
+    linear = peak <= p.x0
+    safe = jnp.where(linear, p.x0, peak)  # keeps 0/0 out of the branch not taken, and its gradient
+    energy_slope = jnp.where(linear, 2.0 * p.K0, 4.0 * energy(safe, p) / safe**2)
+    effort_slope = jnp.where(linear, 2.0 * p.K0, 2.0 * force(safe, p) / safe)
+    return energy_slope, effort_slope
+
+
+def torque(e: Scalar, attractor: Attractor, p: Params, model: Model) -> jax.Array:
+    """Torque towards the reference, N*m, limited to +-Fmax (Algorithm 1, second half).
+
+    Diverging: F_K(e). Converging: slope * (e - e_M/2), with the slope 4 E_K(e_M)/e_M^2
+    where |e| <= x0 and 2 F_K(e_M)/e_M beyond (`algorithm1`), or one of them throughout.
+    """
+    if model.law == "effort":
+        slope = attractor.effort_slope
+    elif model.law == "energy":
+        slope = attractor.energy_slope
+    else:
+        slope = jnp.where(jnp.abs(e) <= p.x0, attractor.energy_slope, attractor.effort_slope)
+    converging = slope * (e - 0.5 * attractor.e_M)
+    return jnp.clip(jnp.where(attractor.diverging, force(e, p), converging), -p.Fmax, p.Fmax)

@@ -1,0 +1,147 @@
+"""N scenarios: blocks, devices, compilation. The physics knows nothing of any of them.
+
+One program is compiled per (model, number of steps, dtype, devices), of one fixed shape, and run
+as often as N asks for. XLA may round differently in programs of different shapes; one shape makes
+a scenario's bits independent of N, of its neighbours and of the chunking.
+"""
+
+import os
+from functools import lru_cache
+from importlib.metadata import version
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding
+from jax.sharding import PartitionSpec as P
+
+from fic_jax.metrics import Metrics, evaluate
+from fic_jax.params import QUANTITIES, Model, Params, ParamsError, check
+
+# Scenarios that advance together. Their state has to stay in the L1 cache and fill whole vectors;
+# 64 to 256 were within 10 % of each other, 512 slower.
+LANES = 128
+# Blocks that one call holds for each device: some tenths of a second of work at 1,000 steps.
+BLOCKS = 128
+
+# XLA:CPU runs a loop's body as separate kernels, whose dispatch and memory traffic dominate; the
+# threshold makes it compile the whole time loop as one function. The rest helps it to vectorise.
+CPU_FLAGS = (
+    "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000,"
+    "xla_cpu_use_multi_output_fusion=true,xla_cpu_disable_tiled_emitter",
+    "--xla_cpu_prefer_vector_width=512",
+)
+# XLA ends the process on a flag it does not know, so only versions tried get any.
+TRIED_JAXLIB = ("0.10.", "0.11.", "0.12.")
+
+
+def tune_for_throughput(devices: int | None = None) -> None:
+    """Make JAX compile for sweeps and use `devices` CPU devices (default: all cores).
+
+    Call it before JAX starts; it sets XLA_FLAGS of this process, keeping those already there, and
+    `jax_num_cpu_devices`. Flags are left alone where this jaxlib was never tried with them.
+
+    Raises RuntimeError if JAX has already started.
+    """
+    if devices is None:
+        affinity = getattr(os, "sched_getaffinity", None)
+        devices = len(affinity(0)) if affinity else os.cpu_count() or 1
+    jax.config.update("jax_num_cpu_devices", devices)  # raises once a backend is up
+    if version("jaxlib").startswith(TRIED_JAXLIB):
+        present = os.environ.get("XLA_FLAGS", "")
+        wanted = [flag for flag in CPU_FLAGS if flag.split("=")[0] not in present]
+        os.environ["XLA_FLAGS"] = " ".join([present, *wanted]).strip()
+
+
+def sweep(batch: Params, *, model: Model = Model(), dt: float, n_steps: int) -> Metrics:
+    """Evaluate N scenarios: Params with [N] leaves (scalars broadcast) to Metrics of [N] arrays.
+
+    All local devices share the work. The result of a scenario does not depend on N, on its
+    neighbours or on the number of devices, bit for bit. The dtype follows the leaves.
+
+    Raises ParamsError if a value is out of bounds, ValueError if the leaves' shapes differ.
+    """
+    check(batch, dt)
+    if n_steps < 1:
+        raise ParamsError("n_steps", n_steps, "at least 1")
+    leaves = [np.asarray(getattr(batch, name)) for name in QUANTITIES]
+    (n,) = np.broadcast_shapes((1,), *(leaf.shape for leaf in leaves))
+    dtype = np.dtype(jnp.result_type(float, *jax.tree.leaves(batch)))
+    devices = tuple(jax.local_devices())
+    capacity = len(devices) * BLOCKS * LANES
+    out = Metrics(**{name: np.empty(n, t) for name, t in _result_types(dtype).items()})
+    for start in range(0, n, capacity):
+        part = slice(start, min(start + capacity, n))
+        columns, blocks = _pack(leaves, part, dtype, len(devices))
+        program, sharding = _compiled(model, n_steps, devices)
+        metrics = program(jax.device_put(columns, sharding), np.asarray(dt, dtype), blocks)
+        _unpack(metrics, out, part, blocks)
+    return out
+
+
+def _result_types(dtype: np.dtype) -> dict[str, np.dtype]:
+    example = Params(**{name: jax.ShapeDtypeStruct((), dtype) for name in QUANTITIES})
+    shapes = jax.eval_shape(lambda p: evaluate(p, dt=0.01, n_steps=1), example)
+    return {name: np.dtype(leaf.dtype) for name, leaf in vars(shapes).items()}
+
+
+def _pack(
+    leaves: list[np.ndarray], part: slice, dtype: np.dtype, n_devices: int
+) -> tuple[np.ndarray, np.int32]:
+    """Scenarios `part` as [field, device, block, lane], and the blocks each device has to run.
+
+    Devices get equal shares; the lanes left over repeat the last scenario.
+    """
+    n = part.stop - part.start
+    blocks = -(-n // (LANES * n_devices))
+    columns = np.empty((len(leaves), n_devices, BLOCKS, LANES), dtype)
+    lanes = np.empty(n_devices * blocks * LANES, dtype)
+    for column, leaf in zip(columns, leaves, strict=True):
+        lanes[:n] = leaf[part] if leaf.ndim and leaf.size > 1 else leaf
+        lanes[n:] = lanes[n - 1]
+        column[:, :blocks] = lanes.reshape(n_devices, blocks, LANES)
+        column[:, blocks:] = lanes[0]
+    return columns, np.int32(blocks)
+
+
+def _unpack(metrics: Metrics, out: Metrics, part: slice, blocks: np.int32) -> None:
+    for name, values in vars(out).items():
+        computed = np.asarray(getattr(metrics, name))[:, :blocks].reshape(-1)
+        values[part] = computed[: part.stop - part.start]
+
+
+@lru_cache
+def _compiled(model: Model, n_steps: int, devices: tuple[jax.Device, ...]) -> Any:
+    """The program for one call, [field, device, block, lane] -> Metrics of [device, block, lane].
+
+    The number of blocks is a value, not a shape: a ragged end runs the same code on fewer blocks.
+    """
+
+    def scenario(column: jax.Array, dt: jax.Array) -> Metrics:
+        params = Params(**dict(zip(QUANTITIES, column, strict=True)))
+        return evaluate(params, model=model, dt=dt, n_steps=n_steps)
+
+    block = jax.vmap(scenario, in_axes=(1, None))
+
+    def on_device(columns: jax.Array, dt: jax.Array, blocks: jax.Array) -> Metrics:
+        columns = columns[:, 0]
+
+        def body(i: jax.Array, out: Metrics) -> Metrics:
+            return jax.tree.map(lambda o, m: o.at[i].set(m), out, block(columns[:, i], dt))
+
+        shapes = jax.eval_shape(block, columns[:, 0], dt)
+        out = jax.tree.map(lambda s: jnp.zeros((BLOCKS, *s.shape), s.dtype), shapes)
+        out = jax.lax.fori_loop(0, blocks, body, out)
+        return jax.tree.map(lambda o: o[None], out)
+
+    mesh = Mesh(np.array(devices), ("device",))
+    spec = P(None, "device")
+    shares = jax.shard_map(
+        on_device,
+        mesh=mesh,
+        in_specs=(spec, P(), P()),
+        out_specs=P("device"),
+        check_vma=False,
+    )
+    return jax.jit(shares), NamedSharding(mesh, spec)

@@ -1,0 +1,27 @@
+"""What the joint touches: welded spring-damper, hard stop, damped rebound."""
+
+import jax
+import jax.numpy as jnp
+
+from fic_jax.params import Model, Params, Scalar
+
+
+def in_contact(x: Scalar, p: Params, model: Model) -> jax.Array:
+    """Whether the environment is touched at position x (rad); a welded one always is."""
+    if model.contact == "welded":
+        return jnp.ones_like(x, bool)
+    return x >= p.gap
+
+
+def interaction_torque(x: Scalar, v: Scalar, p: Params, model: Model) -> jax.Array:
+    """Torque the joint exerts on the environment, tau_env in N*m.
+
+        welded          Kenv (x - gap) + Denv v
+        hard_stop       0 while x < gap, else Kenv (x - gap) + Denv max(v, 0)
+        damped_rebound  0 while x < gap, else Kenv (x - gap) + Denv v
+
+    The hard stop is Simscape's with undamped rebound: it never pulls.
+    """
+    rate = jnp.maximum(v, 0.0) if model.contact == "hard_stop" else v
+    pressed = p.Kenv * (x - p.gap) + p.Denv * rate
+    return jnp.where(in_contact(x, p, model), pressed, 0.0)

@@ -1,0 +1,31 @@
+"""Algorithm 2: haptic exploration, the reference that searches for the desired torque."""
+
+import jax
+import jax.numpy as jnp
+
+from fic_jax.params import Params, Scalar, steps_per_period
+
+
+def expected_reference(p: Params) -> Scalar:
+    """Reference that would give Td on a rigid wall where contact is expected: xd + Td/K0, rad."""
+    return p.xd + p.Td / p.K0
+
+
+def explore(
+    x_h: Scalar, countdown: Scalar, x: Scalar, measured: Scalar, p: Params, dt: Scalar
+) -> tuple[jax.Array, jax.Array]:
+    """Advance the exploring reference x_h (rad) and the countdown (plant steps) to its next tick.
+
+    On a tick, with F = `measured` (N*m) and F != Td (Algorithm 2):
+        x_h <- xd + Td/K0                              while |x| <= |xd|
+        x_h <- x_h + (Td - F)/Td * sigma * Td/K0       afterwards
+    Between ticks, and where F = Td, x_h stays. The printed algorithm's |x~| is the
+    displacement from the reference position, here |x|.
+    """
+    ticks = countdown <= 0
+    # (Td - F)/Td * Td/K0: Td cancels, and with it the division by a vanishing Td.
+    searched = x_h + p.sigma * (p.Td - measured) / p.K0
+    target = jnp.where(jnp.abs(x) <= jnp.abs(p.xd), expected_reference(p), searched)
+    x_h = jnp.where(ticks & (measured != p.Td), target, x_h)
+    countdown = jnp.where(ticks, steps_per_period(p.period, dt), countdown) - 1
+    return x_h, countdown

@@ -1,0 +1,148 @@
+"""Metrics streamed over a scenario's samples: no trajectory is kept.
+
+T is the interaction torque tau_env, T_n = sgn(Td) min(|Td|, Fmax) the torque that can be
+reached, eps = (T - Td)/T_n. The tail is the second half of the run.
+"""
+
+import dataclasses
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from fic_jax.environment import in_contact
+from fic_jax.params import Model, Params, Scalar, canonical
+from fic_jax.simulation import Sample, init, plant_step
+
+SETTLING_BAND = 0.05  # of T_n: the torque has converged while it stays this close to it
+
+
+def _metric(unit: str, meaning: str) -> Any:
+    return field(metadata={"unit": unit, "meaning": meaning})
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Metrics:
+    """What is kept of one scenario (scalars) or of N of them ([N] leaves)."""
+
+    nmse: Scalar = _metric("1", "normalised mean square torque error, whole run")
+    nmse_tail: Scalar = _metric("1", "normalised mean square torque error, second half")
+    convergence_time: Scalar = _metric("s", "time from which the torque stays within 5 %")
+    steady_error: Scalar = _metric("1", "mean normalised torque error, second half")
+    peak_torque: Scalar = _metric("N*m", "largest interaction torque")
+    overshoot: Scalar = _metric("1", "largest torque over the reachable one, less 1")
+    contact_time: Scalar = _metric("s", "time of first contact")
+    contact_lost: Scalar = _metric("s", "time out of contact after the first touch")
+    mode_switches: Scalar = _metric("1", "switches between divergence and convergence")
+    energy_in: Scalar = _metric("J", "work done by the controller")
+    finite: Scalar = _metric("1", "1 if the run stayed within the finite numbers")
+
+
+METRICS = {f.name: f.metadata for f in dataclasses.fields(Metrics)}
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Accumulator:
+    """Running sums of one scenario. Counts of samples are int32, so that times stay exact."""
+
+    square: Scalar  # sum of eps^2
+    square_tail: Scalar
+    error_tail: Scalar  # sum of eps over the tail
+    outside: Scalar  # samples up to and including the last one outside the settling band
+    peak: Scalar  # N*m
+    ratio: Scalar  # largest T/T_n
+    before_touch: Scalar  # samples before the first one in contact
+    touched: Scalar  # samples in contact
+    switches: Scalar
+    diverging: Scalar  # branch of the last sample
+    work: Scalar  # J
+    finite: Scalar
+
+
+def reachable(p: Params) -> jax.Array:
+    """T_n = sgn(Td) min(|Td|, Fmax), N*m: the torque errors are normalised by."""
+    return jnp.sign(p.Td) * jnp.minimum(jnp.abs(p.Td), p.Fmax)
+
+
+def empty(p: Params) -> Accumulator:
+    """The accumulator before the first sample."""
+    zero, none = jnp.zeros_like(p.Td), jnp.zeros_like(p.Td, jnp.int32)
+    yes = jnp.ones_like(p.Td, bool)
+    # ratio starts at 0: an overshoot is floored at 0 and T/T_n never needs to be negative.
+    return Accumulator(zero, zero, zero, none, zero, zero, none, none, none, yes, zero, yes)
+
+
+def _count(total: Scalar, event: Scalar) -> jax.Array:
+    return total + event.astype(jnp.int32)
+
+
+def update(
+    acc: Accumulator, sample: Sample, k: Scalar, n_steps: int, p: Params, model: Model
+) -> Accumulator:
+    """Add sample k (counted from 0) of `n_steps`."""
+    T_n = reachable(p)
+    eps = (sample.tau_env - p.Td) / T_n
+    ratio = sample.tau_env / T_n
+    in_tail = k >= n_steps // 2
+    square = eps**2
+    touching = in_contact(sample.x, p, model)
+    switched = (sample.diverging != acc.diverging) & (k > 0)
+    return Accumulator(
+        square=acc.square + square,
+        square_tail=acc.square_tail + jnp.where(in_tail, square, 0.0),
+        error_tail=acc.error_tail + jnp.where(in_tail, eps, 0.0),
+        # written so that NaN counts as outside
+        outside=jnp.where(jnp.abs(ratio - 1.0) <= SETTLING_BAND, acc.outside, k + 1),
+        peak=jnp.maximum(acc.peak, jnp.abs(sample.tau_env)),
+        ratio=jnp.maximum(acc.ratio, ratio),
+        before_touch=_count(acc.before_touch, ~touching & (acc.touched == 0)),
+        touched=_count(acc.touched, touching),
+        switches=_count(acc.switches, switched),
+        diverging=sample.diverging,
+        work=acc.work + sample.work,
+        finite=acc.finite & jnp.isfinite(sample.x) & jnp.isfinite(sample.v),
+    )
+
+
+def finish(acc: Accumulator, n_steps: int, dt: jax.Array) -> Metrics:
+    """Turn sums into metrics; sample k lies at (k + 1) dt, a time that never comes is inf."""
+
+    def seconds(samples: Scalar) -> jax.Array:
+        return samples.astype(dt.dtype) * dt
+
+    n_tail = n_steps - n_steps // 2
+    nmse = acc.square / n_steps
+    lost = n_steps - acc.before_touch - acc.touched
+    return Metrics(
+        nmse=nmse,
+        nmse_tail=acc.square_tail / n_tail,
+        convergence_time=jnp.where(acc.outside < n_steps, seconds(acc.outside + 1), jnp.inf),
+        steady_error=acc.error_tail / n_tail,
+        peak_torque=acc.peak,
+        overshoot=jnp.maximum(acc.ratio - 1.0, 0.0),
+        contact_time=jnp.where(acc.touched > 0, seconds(acc.before_touch + 1), jnp.inf),
+        contact_lost=seconds(lost),
+        mode_switches=acc.switches,
+        energy_in=acc.work,
+        finite=acc.finite & jnp.isfinite(nmse) & jnp.isfinite(acc.work),
+    )
+
+
+@partial(jax.jit, static_argnames=("model", "n_steps"))
+def evaluate(params: Params, *, model: Model = Model(), dt: Scalar, n_steps: int) -> Metrics:
+    """Metrics of one scenario over `n_steps` plant steps of `dt` seconds, streamed."""
+    p = canonical(params)
+    dt = jnp.asarray(dt, p.K0.dtype)
+
+    def body(carry: Any, k: jax.Array) -> tuple[Any, None]:
+        state, acc = carry
+        state, sample = plant_step(p, state, model, dt)
+        return (state, update(acc, sample, k, n_steps, p, model)), None
+
+    start = (init(p, model), empty(p))
+    (_, acc), _ = jax.lax.scan(body, start, jnp.arange(n_steps, dtype=jnp.int32))
+    return finish(acc, n_steps, dt)

@@ -1,0 +1,166 @@
+"""What a scenario is made of: `Params`, numbers in a pytree, and `Model`, static choices."""
+
+import dataclasses
+import difflib
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias, get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+Scalar: TypeAlias = Any  # a float, a 0-d array or a tracer; physics is written for one scenario
+
+
+class ParamsError(ValueError):
+    """A value no scenario may have: `key`, its `value`, and what is `wanted` instead."""
+
+    def __init__(self, key: str, value: object, wanted: str):
+        super().__init__(f"`{key}` must be {wanted}, but is {value}.")
+        self.key, self.value, self.wanted = key, value, wanted
+
+
+def _quantity(default: float, unit: str, meaning: str, bound: str = "finite") -> Any:
+    return field(default=default, metadata={"unit": unit, "meaning": meaning, "bound": bound})
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Params:
+    """The numbers of one scenario, or `[N]` leaves for N of them; defaults are the paper's.
+
+    Every field may be swept. SI units, rotation about one axis (Sec. IV of the paper).
+    """
+
+    K0: Scalar = _quantity(100.0, "N*m/rad", "constant stiffness of the controller", "positive")
+    Fmax: Scalar = _quantity(15.0, "N*m", "saturation torque", "positive")
+    x0: Scalar = _quantity(0.10, "rad", "error where the linear spring ends", "positive")
+    xb: Scalar = _quantity(0.11, "rad", "error where the torque saturates", "positive")
+    S: Scalar = _quantity(20.0, "1", "sharpness of the saturation, b = (xb - x0)/S", "positive")
+    Td: Scalar = _quantity(5.0, "N*m", "desired interaction torque", "non-zero")
+    xd: Scalar = _quantity(0.0, "rad", "displacement at which contact is expected")
+    sigma: Scalar = _quantity(0.01, "1", "search resolution of the exploration", "non-negative")
+    period: Scalar = _quantity(0.01, "s", "control period of the exploration", "positive")
+    I: Scalar = _quantity(10.0, "kg*m^2", "inertia", "positive")  # noqa: E741  the paper's symbol
+    Kenv: Scalar = _quantity(100.0, "N*m/rad", "stiffness of the environment", "non-negative")
+    Denv: Scalar = _quantity(189.7, "N*m*s/rad", "damping of the environment", "non-negative")
+    gap: Scalar = _quantity(0.0, "rad", "position of the environment")
+    x_init: Scalar = _quantity(0.0, "rad", "initial position")
+    v_init: Scalar = _quantity(0.0, "rad/s", "initial velocity")
+
+
+QUANTITIES = {f.name: f.metadata for f in dataclasses.fields(Params)}
+
+Law = Literal["algorithm1", "effort", "energy"]
+Divergence = Literal["velocity", "error_rate", "velocity_band"]
+Peak = Literal["latched", "running"]
+Feedback = Literal["interaction", "motor"]
+Contact = Literal["hard_stop", "damped_rebound", "welded"]
+Integrator = Literal["rk4"]
+
+
+@dataclass(frozen=True)
+class Model:
+    """The static choices: which reading of the paper is simulated. The first option is the default.
+
+    law: slope of the converging branch, `algorithm1` as printed, `effort` 2F_K(e_M)/e_M
+        throughout, `energy` 4E_K(e_M)/e_M^2 throughout.
+    divergence: `velocity` e*v <= 0, `error_rate` |e| grew since the last plant step,
+        `velocity_band` as `velocity` and also while |v| < 0.01 rad/s.
+    peak: `latched` e_M is held while converging, `running` it follows a larger or opposite error.
+    feedback: what Algorithm 2 measures, the `interaction` torque or the `motor` torque.
+    contact: `hard_stop` (undamped rebound, never pulls), `damped_rebound`, `welded`.
+    integrator: `rk4`, Simulink's ode4.
+
+    Raises ParamsError if a choice is not one of these.
+    """
+
+    law: Law = "algorithm1"
+    divergence: Divergence = "velocity"
+    peak: Peak = "latched"
+    feedback: Feedback = "interaction"
+    contact: Contact = "hard_stop"
+    integrator: Integrator = "rk4"
+
+    # Checked here, unlike Params: a Model is no pytree, so this runs once and never on tracers.
+    def __post_init__(self) -> None:
+        for name, options in CHOICES.items():
+            value = getattr(self, name)
+            if value not in options:
+                raise ParamsError(name, repr(value), "one of " + ", ".join(options))
+
+
+CHOICES: dict[str, tuple[str, ...]] = {
+    "law": get_args(Law),
+    "divergence": get_args(Divergence),
+    "peak": get_args(Peak),
+    "feedback": get_args(Feedback),
+    "contact": get_args(Contact),
+    "integrator": get_args(Integrator),
+}
+
+_BOUNDS = {
+    "finite": lambda a: np.ones(a.shape, bool),
+    "positive": lambda a: a > 0,
+    "non-negative": lambda a: a >= 0,
+    "non-zero": lambda a: a != 0,
+}
+
+
+def canonical(params: Params) -> Params:
+    """Give every leaf one strong float dtype, so that float and array leaves trace alike.
+
+    The dtype is the leaves' own (float32 by default, float64 with x64 on and float64 arrays
+    or Python floats); integers count as floats.
+    """
+    dtype = jnp.result_type(float, *jax.tree.leaves(params))
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), params)
+
+
+def steps_per_period(period: Scalar, dt: Scalar) -> jax.Array:
+    """Plant steps between two ticks of Algorithm 2, a whole number >= 1."""
+    return jnp.maximum(jnp.round(period / dt), 1.0).astype(jnp.int32)
+
+
+def suggest(word: str, known: tuple[str, ...] | list[str]) -> str:
+    """'; did you mean `x`?' for the nearest known word, or an empty string."""
+    near = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
+    if not near:
+        near = [k for k in known if k.lower() == word.lower()]
+    return f"; did you mean `{near[0]}`?" if near else ""
+
+
+def check_field(name: str, values: Any, dt: float | None = None) -> None:
+    """Raise ParamsError unless every value of one field is finite, in its bound and on the grid.
+
+    `period` must be a whole multiple of `dt` (to 1e-6, which forgives float32 decimals).
+    """
+    a = np.atleast_1d(np.asarray(values, np.float64))
+    bound = QUANTITIES[name]["bound"]
+    wanted = bound if bound == "finite" else f"{bound} and finite"
+    with np.errstate(invalid="ignore"):
+        bad = ~(np.isfinite(a) & _BOUNDS[bound](a))
+    if bad.any():
+        raise ParamsError(name, f"{a[bad][0]:g}", wanted)
+    if name == "period" and dt is not None:
+        ticks = a / dt
+        bad = (np.abs(ticks - np.round(ticks)) > 1e-6 * ticks) | (ticks < 0.5)
+        if bad.any():
+            near = max(round(ticks[bad][0]), 1) * dt
+            wanted = f"a whole multiple of dt = {dt:g} s (nearest: {near:.6g})"
+            raise ParamsError(name, f"{a[bad][0]:.6g}", wanted)
+
+
+def check(params: Params, dt: float) -> None:
+    """Raise ParamsError for the first value no scenario may have; leaves may be `[N]` arrays.
+
+    Called once, at the boundary where numbers are still concrete.
+    """
+    if not (np.isfinite(dt) and dt > 0):
+        raise ParamsError("dt", f"{dt:g}", "positive and finite")
+    for name in QUANTITIES:
+        check_field(name, getattr(params, name), dt)
+    x0, xb = np.broadcast_arrays(np.asarray(params.x0), np.asarray(params.xb))
+    if (xb <= x0).any():
+        first = np.argmax(np.ravel(xb <= x0))
+        raise ParamsError("xb", f"{xb.flat[first]:g}", f"greater than x0 = {x0.flat[first]:g}")

@@ -1,0 +1,45 @@
+"""The force profile of the fractal attractor and its energy (eq. 1 and 2)."""
+
+import jax
+import jax.numpy as jnp
+
+from fic_jax.params import Params, Scalar
+
+
+def _saturation(e_abs: Scalar, p: Params) -> tuple[jax.Array, jax.Array]:
+    """`b` (rad) and exp(-(min(|e|, xb) - x0)/b), one where |e| < x0 so that nothing overflows."""
+    b = (p.xb - p.x0) / p.S
+    return b, jnp.exp(-(jnp.clip(e_abs, p.x0, p.xb) - p.x0) / b)
+
+
+def force(e: Scalar, p: Params) -> jax.Array:
+    """Torque of the nonlinear spring, N*m, odd and continuous in the error `e` (rad).
+
+        F_K = sgn(e) * { K0 |e|                                  |e| < x0
+                       { dF (1 - exp(-(|e| - x0)/b)) + K0 x0     x0 <= |e| < xb
+                       { Fmax                                    xb <= |e|
+
+    with dF = Fmax - K0 x0 and b = (xb - x0)/S (eq. 1). It is not limited to Fmax: where
+    K0 x0 > Fmax the profile overshoots between x0 and xb, and the controller clips its torque.
+    """
+    e_abs = jnp.abs(e)
+    _, decay = _saturation(e_abs, p)
+    curved = (p.Fmax - p.K0 * p.x0) * (1.0 - decay) + p.K0 * p.x0
+    magnitude = jnp.where(e_abs < p.xb, curved, p.Fmax)
+    # The linear branch is odd by itself; sign() has no gradient and is only used beyond x0.
+    return jnp.where(e_abs < p.x0, p.K0 * e, jnp.sign(e) * magnitude)
+
+
+def energy(e: Scalar, p: Params) -> jax.Array:
+    """Energy stored in the nonlinear spring, J, even in the error `e` (rad): dE/de = F_K.
+
+        E_K = { K0 e^2 / 2                                                      |e| < x0
+              { Fmax (|e| - x0) + K0 x0^2 / 2 - b dF (1 - exp(-(m - x0)/b))     otherwise
+
+    with m = min(|e|, xb). This is the integral of eq. 1; the printed eq. 2 has stray signs.
+    """
+    e_abs = jnp.abs(e)
+    b, decay = _saturation(e_abs, p)
+    dF = p.Fmax - p.K0 * p.x0
+    beyond = p.Fmax * (e_abs - p.x0) + 0.5 * p.K0 * p.x0**2 - b * dF * (1.0 - decay)
+    return jnp.where(e_abs < p.x0, 0.5 * p.K0 * e**2, beyond)

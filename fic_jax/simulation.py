@@ -1,0 +1,166 @@
+"""One plant step of one scenario, and a rollout of many: the only place where time advances."""
+
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+
+from fic_jax.controller import Attractor, latch, torque
+from fic_jax.environment import interaction_torque
+from fic_jax.exploration import expected_reference, explore
+from fic_jax.params import Model, Params, Scalar, canonical
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Memory:
+    """What the controller remembers from one control instant to the next."""
+
+    x_h: Scalar  # rad, exploring reference (Algorithm 2)
+    e_M: Scalar  # rad, signed peak error (Algorithm 1)
+    e_last: Scalar  # rad, |e| at the last decision, 0 before the first
+    countdown: Scalar  # plant steps until Algorithm 2 ticks, int32
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class State:
+    """One scenario between two plant steps."""
+
+    k: Scalar  # plant steps taken, int32; time is k * dt, never summed
+    x: Scalar  # rad
+    v: Scalar  # rad/s
+    measured: Scalar  # N*m, what Algorithm 2 will read (Model.feedback)
+    memory: Memory
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Sample:
+    """What is measured at the end of plant step k, at time (k + 1) dt."""
+
+    t: Scalar  # s
+    x: Scalar  # rad
+    v: Scalar  # rad/s
+    x_h: Scalar  # rad, reference held in the step
+    e: Scalar  # rad, x_h - x
+    e_M: Scalar  # rad, peak error held in the step
+    diverging: Scalar  # bool, branch held in the step
+    torque: Scalar  # N*m, of the controller
+    tau_env: Scalar  # N*m, on the environment
+    work: Scalar  # J, done by the controller in the step
+
+
+def init(params: Params, model: Model = Model()) -> State:
+    """State before the first step: at x_init, v_init, with the reference at xd + Td/K0.
+
+    Algorithm 2 first reads the torque of the initial state (`interaction`) or, the motor not
+    having acted yet, zero (`motor`); it ticks at the first step.
+    """
+    p = canonical(params)
+    at_rest = jnp.zeros_like(p.x_init)
+    measured = at_rest
+    if model.feedback == "interaction":
+        measured = interaction_torque(p.x_init, p.v_init, p, model)
+    step_zero = jnp.zeros_like(p.x_init, jnp.int32)
+    memory = Memory(expected_reference(p), at_rest, at_rest, step_zero)
+    return State(step_zero, p.x_init, p.v_init, measured, memory)
+
+
+def decide(
+    p: Params, memory: Memory, x: Scalar, v: Scalar, measured: Scalar, model: Model, dt: Scalar
+) -> tuple[Memory, Attractor]:
+    """Algorithm 2 if it ticks, then branch and peak error of Algorithm 1: what a step holds."""
+    x_h, countdown = explore(memory.x_h, memory.countdown, x, measured, p, dt)
+    e = x_h - x
+    attractor = latch(e, v, memory.e_M, memory.e_last, p, model)
+    return Memory(x_h, attractor.e_M, jnp.abs(e), countdown), attractor
+
+
+def advance(
+    p: Params, x: Scalar, v: Scalar, x_h: Scalar, attractor: Attractor, model: Model, dt: Scalar
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Classic RK4 (Simulink's ode4) over I x'' = torque - tau_env; also the work of the torque.
+
+    The law is evaluated at each stage's error; branch, e_M and x_h are held.
+    """
+
+    def rates(x: Scalar, v: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+        tau = torque(x_h - x, attractor, p, model)
+        return v, (tau - interaction_torque(x, v, p, model)) / p.I, tau * v
+
+    v1, a1, w1 = rates(x, v)
+    v2, a2, w2 = rates(x + 0.5 * dt * v1, v + 0.5 * dt * a1)
+    v3, a3, w3 = rates(x + 0.5 * dt * v2, v + 0.5 * dt * a2)
+    v4, a4, w4 = rates(x + dt * v3, v + dt * a3)
+    x = x + dt / 6.0 * (v1 + 2.0 * v2 + 2.0 * v3 + v4)
+    v = v + dt / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+    work = dt / 6.0 * (w1 + 2.0 * w2 + 2.0 * w3 + w4)
+    return x, v, work
+
+
+def plant_step(p: Params, state: State, model: Model, dt: Scalar) -> tuple[State, Sample]:
+    """Explore, decide, advance, measure. `p` and `dt` are canonical (see `step`)."""
+    memory, attractor = decide(p, state.memory, state.x, state.v, state.measured, model, dt)
+    x, v, work = advance(p, state.x, state.v, memory.x_h, attractor, model, dt)
+    e = memory.x_h - x
+    tau = torque(e, attractor, p, model)
+    tau_env = interaction_torque(x, v, p, model)
+    measured = tau_env if model.feedback == "interaction" else tau
+    k = state.k + 1
+    t = k.astype(dt.dtype) * dt
+    sample = Sample(t, x, v, memory.x_h, e, attractor.e_M, attractor.diverging, tau, tau_env, work)
+    return State(k, x, v, measured, memory), sample
+
+
+def _canonical(params: Params, dt: Scalar) -> tuple[Params, jax.Array]:
+    p = canonical(params)
+    return p, jnp.asarray(dt, p.K0.dtype)
+
+
+@partial(jax.jit, static_argnames="model")
+def step(
+    params: Params, state: State, *, model: Model = Model(), dt: Scalar
+) -> tuple[State, Sample]:
+    """Advance one scenario by one plant step of `dt` seconds.
+
+    Order: Algorithm 2 if it ticks, branch and e_M (Algorithm 1), RK4, measurement. Scalars in,
+    scalars out; composes with vmap, scan, grad and the caller's jit. Only a changed `model`
+    compiles again.
+    """
+    p, dt = _canonical(params, dt)
+    return plant_step(p, state, model, dt)
+
+
+@partial(jax.jit, static_argnames="model")
+def control(
+    params: Params,
+    memory: Memory,
+    x: Scalar,
+    v: Scalar,
+    tau_measured: Scalar,
+    *,
+    model: Model = Model(),
+    dt: Scalar,
+) -> tuple[jax.Array, Memory]:
+    """The controller alone, for somebody else's plant: torque (N*m) and the new memory.
+
+    Call it once every `dt` seconds with the position x (rad), velocity v (rad/s) and measured
+    torque (N*m); `init(params, model).memory` is the first memory. `Params.period` must be a
+    multiple of `dt`. Of `params` only the controller's fields are read, not I, Kenv, Denv, gap.
+    """
+    p, dt = _canonical(params, dt)
+    x, v, tau_measured = (jnp.asarray(a, dt.dtype) for a in (x, v, tau_measured))
+    memory, attractor = decide(p, memory, x, v, tau_measured, model, dt)
+    return torque(memory.x_h - x, attractor, p, model), memory
+
+
+@partial(jax.jit, static_argnames=("model", "n_steps"))
+def rollout(params: Params, *, model: Model = Model(), dt: Scalar, n_steps: int) -> Sample:
+    """Simulate one scenario from `init`; returns Sample with a leading time axis [n_steps]."""
+    p, dt = _canonical(params, dt)
+    _, samples = jax.lax.scan(
+        lambda state, _: plant_step(p, state, model, dt), init(p, model), length=n_steps
+    )
+    return samples

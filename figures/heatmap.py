@@ -1,0 +1,342 @@
+"""Heatmaps of one metric over two sweep axes, alone or as a row sharing one colour scale.
+
+`panels` draws planes side by side; `plot` cuts one out of a store and draws it.
+"""
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib import colormaps, rc_context
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis as DrawnAxis
+from matplotlib.axis import XAxis
+from matplotlib.collections import QuadMesh
+from matplotlib.colors import Colormap, LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch, PathPatch
+from matplotlib.path import Path
+from matplotlib.ticker import (
+    FuncFormatter,
+    LogLocator,
+    MaxNLocator,
+    NullFormatter,
+    NullLocator,
+)
+from numpy.typing import NDArray
+
+from figures import style
+from figures.planes import Axis, PlotError, Slice, select
+
+LOG_METRICS = ("nmse", "nmse_tail")  # decades are what the paper argues with
+LINEAR_METRICS = ("convergence_time", "contact_time")
+SIGNED_METRICS = ("steady_error",)
+INFINITE = {"convergence_time": "never converges", "contact_time": "never touches"}
+
+FEW_TICKS = 6  # up to here every value of an axis is its own tick
+FEW_CELLS = 10  # up to here per side the numbers are printed
+MAX_DECADES = 8  # below this nmse is float32 rounding, and colours would be spent on it
+SMALLEST_NUMBER = 4.7  # point; smaller figures in cells are noise in print
+LABEL_ROOM, BAR_ROOM, PANEL_HEIGHT = 38, 50, 125  # points taken by labels, colour bar, one panel
+HATCH_CELLS = 400  # per side; finer hatch outlines are below one printed dot
+
+
+def plot(
+    data: xr.Dataset,
+    *,
+    x: str,
+    y: str,
+    metric: str = "nmse",
+    at: Mapping[str, float | str] | None = None,
+) -> Figure:
+    """Heatmap of `metric` over dimensions `x` and `y`, the other dimensions fixed by `at`."""
+    return panels([("", select(data, x=x, y=y, metric=metric, at=at))])
+
+
+def panels(items: Sequence[tuple[str, Slice]]) -> Figure:
+    """A row of titled planes of one metric under one colour scale, one colour bar, one legend.
+
+    What all planes hold constant stands above the row, what differs above each plane.
+    """
+    if not items:
+        raise PlotError("panels needs at least one plane.")
+    planes = [plane for _, plane in items]
+    if len({plane.metric for plane in planes}) > 1:
+        found = ", ".join(dict.fromkeys(plane.metric for plane in planes))
+        raise PlotError(f"panels share one colour scale, but the metrics differ: {found}.")
+    shared = all(_same(plane.y, planes[0].y) for plane in planes)
+    width = max(style.PAGE_WIDTH, 1.7 * len(items)) if len(items) > 1 else style.COLUMN_WIDTH
+    labels = LABEL_ROOM * (1 if shared else len(items))
+    room = (72 * width - BAR_ROOM - labels) / len(items) - 8
+    head, titles = _titles(items, 72 * width - 10, room + 8)
+    columns = int(width / 1.65)
+    with rc_context(style.RC):
+        handles = _legend_handles(planes)
+        lines = head.count("\n") + max(text.count("\n") for text in titles)
+        height = 2.55 + 0.13 * lines + 0.15 * math.ceil(len(handles) / columns)
+        fig = Figure(figsize=(width, height))
+        grid = list(fig.subplots(1, len(items), sharey=shared, squeeze=False)[0])
+        cmap, norm, pool = _colours(planes)
+        for ax, plane, title in zip(grid, planes, titles, strict=True):
+            mesh = _panel(ax, plane, cmap, norm, room)
+            ax.set_title(title)
+            if shared and ax is not grid[0]:
+                ax.set_ylabel("")
+                ax.tick_params(labelleft=False)
+        fig.suptitle(head)
+        if pool.size:
+            _colour_bar(fig, mesh, grid, planes[0].label, pool)
+        if handles:
+            _legend(fig, handles, columns, len(planes))
+    return fig
+
+
+def _same(one: Axis, other: Axis) -> bool:
+    return one.label == other.label and np.array_equal(one.values, other.values)
+
+
+def _titles(
+    items: Sequence[tuple[str, Slice]], width: float, panel_width: float
+) -> tuple[str, list[str]]:
+    """The figure's title, and one title per panel, each wrapped to its width in points."""
+    planes = [plane for _, plane in items]
+    common = [text for text in planes[0].fixed if all(text in plane.fixed for plane in planes)]
+    names = {plane.name for plane in planes}
+    head = [style.fold(planes[0].name, width)] if len(names) == 1 else []
+    titles = []
+    for title, plane in items:
+        own = [text for text in plane.fixed if text not in common]
+        lines = [title, plane.name if len(names) > 1 else ""]
+        lines = [style.fold(line, panel_width) for line in lines if line]
+        titles.append("\n".join([*lines, *([style.wrap(own, panel_width)] if own else [])]))
+    head += [style.wrap(common, width)] if common else []
+    return "\n".join(line for line in head if line), titles
+
+
+def _colours(planes: Sequence[Slice]) -> tuple[Colormap, Normalize, NDArray[np.float64]]:
+    """Colour map and scale shared by the planes, and the values they were chosen for."""
+    metric = planes[0].metric
+    pool = np.concatenate([plane.values.compressed() for plane in planes])
+    cmap = style.DIVERGING if metric in SIGNED_METRICS else colormaps[style.SEQUENTIAL]
+    return cmap, _norm(metric, pool), pool
+
+
+def _norm(metric: str, pool: NDArray[np.float64]) -> Normalize:
+    """Limits that a hundredth of the cells at either end cannot stretch, at round numbers."""
+    positive = pool[pool > 0]
+    free = metric not in LINEAR_METRICS + SIGNED_METRICS and 0 < positive.size == pool.size
+    log = metric in LOG_METRICS or (free and positive.max() > 100 * positive.min())
+    if log and positive.size:
+        low, high = np.log10(np.quantile(positive, [0.01, 0.99], method="inverted_cdf"))
+        top = max(math.ceil(high), math.floor(low) + 1)
+        bottom = max(math.floor(low), top - MAX_DECADES)
+        # clip: an exact zero takes the lowest colour, where a bare log would hide the cell
+        return LogNorm(10.0**bottom, 10.0**top, clip=True)
+    if not pool.size:
+        return Normalize(0, 1)
+    low, high = np.quantile(pool, [0.01, 0.99], method="inverted_cdf")
+    if metric in SIGNED_METRICS:
+        high = max(abs(low), abs(high))
+        low = -high
+    ticks = MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
+    return Normalize(ticks[0], ticks[-1])
+
+
+def _panel(ax: Axes, plane: Slice, cmap: Colormap, norm: Normalize, room: float) -> QuadMesh:
+    """Draw one plane into `ax`, about `room` points wide."""
+    ax.set_xscale("log" if plane.x.scale == "log" else "linear")
+    ax.set_yscale("log" if plane.y.scale == "log" else "linear")
+    mesh = ax.pcolormesh(
+        plane.x.edges, plane.y.edges, plane.values, cmap=cmap, norm=norm, rasterized=True, zorder=1
+    )
+    for patch in _hatched(plane):
+        ax.add_artist(patch)  # add_patch would walk every corner to find limits set below
+    for drawn, axis, length in ((ax.xaxis, plane.x, room), (ax.yaxis, plane.y, PANEL_HEIGHT)):
+        _ticks(drawn, axis, length)
+        drawn.set_label_text(axis.label)
+    ax.set_xlim(plane.x.edges[0], plane.x.edges[-1])
+    ax.set_ylim(plane.y.edges[0], plane.y.edges[-1])
+    if max(plane.values.shape) <= FEW_CELLS:
+        _cell_numbers(ax, plane, cmap, norm, room)
+    return mesh
+
+
+def _ticks(drawn: DrawnAxis, axis: Axis, length: float) -> None:
+    """Ticks at the values of a short axis, at every category that fits, else at round numbers."""
+    drawn.set_minor_locator(NullLocator())
+    if axis.scale == "category":
+        step = math.ceil(len(axis.values) / 12)
+        places = np.arange(0, len(axis.values), step)
+        _named_ticks(drawn, axis, places, [_category(v) for v in axis.values[::step]], length)
+        drawn.set_tick_params(length=0)
+        return
+    if len(axis.values) <= FEW_TICKS:
+        labels = [style.number(float(value)) for value in axis.values]
+        _named_ticks(drawn, axis, axis.values, labels, length)
+        return
+    drawn.set_major_formatter(FuncFormatter(lambda value, _: style.number(value)))
+    if axis.scale == "log":
+        short = axis.edges[-1] < 50 * axis.edges[0]
+        drawn.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if short else (1.0,)))
+        drawn.set_minor_locator(LogLocator(subs="auto"))
+        drawn.set_minor_formatter(NullFormatter())
+    else:
+        drawn.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
+
+
+def _named_ticks(
+    drawn: DrawnAxis, axis: Axis, values: NDArray[Any], labels: list[str], length: float
+) -> None:
+    """Ticks with given labels, slanted below the axis or left blank where they would touch."""
+    places = length * axis.place(values)
+    slanted: dict[str, Any] = {}
+    if isinstance(drawn, XAxis) and _touching(places, labels):
+        labels = [label.replace("_", "\n") for label in labels]
+        if _touching(places, labels):
+            slanted = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"}
+    if slanted or not isinstance(drawn, XAxis):
+        last = -math.inf
+        for position, place in enumerate(places):
+            if place - last < 1.2 * style.FONT_SIZE:
+                labels[position] = ""
+            else:
+                last = place
+    drawn.set_ticks(values.tolist(), labels, **slanted)
+
+
+def _touching(places: NDArray[Any], labels: list[str]) -> bool:
+    widths = [style.text_width(label, style.FONT_SIZE) for label in labels]
+    return bool(np.any(np.diff(places) < [(a + b) / 2 + 3 for a, b in itertools.pairwise(widths)]))
+
+
+def _category(value: Any) -> str:
+    return style.number(float(value)) if isinstance(value, np.floating) else str(value)
+
+
+def _hatched(plane: Slice) -> Iterator[PathPatch]:
+    """One patch per kind of special cell, below the mesh, which shows it where it is masked."""
+    kinds = np.zeros(plane.values.shape, dtype=np.int8)
+    for kind, cells in enumerate(plane.special.values(), start=1):
+        kinds[cells] = kind
+    rows, columns = (np.arange(0, n, max(1, n // HATCH_CELLS)) for n in kinds.shape)
+    # a coarse cell takes one of its special cells, so that none is left bare behind the mesh
+    coarse = np.maximum.reduceat(np.maximum.reduceat(kinds, rows, 0), columns, 1)
+    sample = kinds[np.ix_(rows, columns)]
+    coarse = np.where(sample > 0, sample, coarse)
+    x = np.append(plane.x.edges[columns], plane.x.edges[-1])
+    y = np.append(plane.y.edges[rows], plane.y.edges[-1])
+    for kind, key in enumerate(plane.special, start=1):
+        yield _patch(key, coarse == kind, x, y)
+
+
+def _patch(
+    key: str, cells: NDArray[np.bool_], x: NDArray[np.float64], y: NDArray[np.float64]
+) -> PathPatch:
+    """The cells between edges `x` and `y` as one path, a rectangle for each run along x."""
+    change = np.diff(np.pad(cells.astype(np.int8), ((0, 0), (1, 1))), axis=1)
+    row, start = np.nonzero(change == 1)
+    stop = np.nonzero(change == -1)[1]
+    left, right, low, high = x[start], x[stop], y[row], y[row + 1]
+    corners = np.stack([left, low, right, low, right, high, left, high, left, low], axis=1)
+    codes = np.tile([Path.MOVETO, *3 * [Path.LINETO], Path.CLOSEPOLY], len(row))
+    # not antialiased: neighbouring rectangles would show their seams
+    return PathPatch(
+        Path(corners.reshape(-1, 2), codes), zorder=0.5, antialiased=False, **_look(key)
+    )
+
+
+def _look(key: str) -> dict[str, Any]:
+    hatch = style.HATCHES[key]
+    return {
+        "facecolor": hatch.face,
+        "hatch": hatch.pattern,
+        "hatchcolor": hatch.ink,
+        "linewidth": 0,
+    }
+
+
+def _cell_numbers(ax: Axes, plane: Slice, cmap: Colormap, norm: Normalize, room: float) -> None:
+    """Print every value in its cell, black or white; leave all out where none could be read."""
+    digits, size, upright = _fit(plane, plane.values.compressed().tolist(), room)
+    if size < SMALLEST_NUMBER:
+        return
+    x, y = (_centres(axis) for axis in (plane.x, plane.y))
+    for row, column in np.argwhere(~np.ma.getmaskarray(plane.values)):
+        value = plane.values[row, column]
+        red, green, blue, _ = cmap(norm(value))
+        dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
+        ax.text(
+            x[column],
+            y[row],
+            style.cell_number(value, digits),
+            color="white" if dark else "black",
+            fontsize=size,
+            rotation=90 if upright else 0,
+            ha="center",
+            va="center" if upright else "center_baseline",
+        )
+
+
+def _fit(plane: Slice, values: list[float], room: float) -> tuple[int, float, bool]:
+    """Digits, font size (points) and turn of the numbers, the first that can be read."""
+    wide = room * float(np.diff(plane.x.place(plane.x.edges)).min())
+    high = PANEL_HEIGHT * float(np.diff(plane.y.place(plane.y.edges)).min())
+    for upright, digits in ((False, 2), (False, 1), (True, 2), (True, 1)):
+        along, across = (high, wide) if upright else (wide, high)
+        em = max((style.text_width(style.cell_number(v, digits), 1) for v in values), default=1)
+        size = min(style.SMALL_SIZE, 0.92 * along / em, 0.8 * across)
+        if size >= SMALLEST_NUMBER:
+            break
+    return digits, size, upright
+
+
+def _centres(axis: Axis) -> list[float]:
+    low, high = axis.edges[:-1], axis.edges[1:]
+    return list(np.sqrt(low * high) if axis.scale == "log" else (low + high) / 2)
+
+
+def _colour_bar(
+    fig: Figure, mesh: QuadMesh, axes: list[Axes], label: str, pool: NDArray[np.float64]
+) -> None:
+    """One colour bar for the row; arrows where cells lie beyond its ends."""
+    norm = mesh.norm
+    below, above = pool.min() < norm.vmin, pool.max() > norm.vmax
+    extend = {(0, 0): "neither", (1, 0): "min", (0, 1): "max", (1, 1): "both"}[below, above]
+    bar = fig.colorbar(mesh, ax=axes, extend=extend, fraction=0.08, pad=0.02, aspect=22)
+    bar.outline.set_linewidth(0.5)
+    bar.set_label(style.fold(label, 150))
+    bar.minorticks_off()
+
+
+def _legend_handles(planes: Sequence[Slice]) -> list[Patch]:
+    """One hatched box for each kind of special cell that occurs, with its share per panel."""
+    infinite = INFINITE.get(planes[0].metric, "infinite")
+    words = {"not run": "not run yet", "infinite": infinite}
+    handles = []
+    for key in style.HATCHES:
+        if any(key in plane.special for plane in planes):
+            shares = [
+                style.share(float(plane.special[key].mean()) if key in plane.special else 0.0)
+                for plane in planes
+            ]
+            label = f"{words.get(key, key)} ({', '.join(shares)} %)"
+            handles.append(Patch(label=label, **_look(key)))
+    return handles
+
+
+def _legend(fig: Figure, handles: list[Patch], columns: int, panels_drawn: int) -> None:
+    """Name the special cells below the axes, where no data can be covered."""
+    for handle in handles:
+        handle.set(linewidth=0.5, edgecolor="black")
+    fig.legend(
+        handles=handles,
+        loc="outside lower center",
+        ncols=min(columns, len(handles)),
+        title="share of cells per panel, left to right" if panels_drawn > 1 else None,
+        frameon=False,
+        handlelength=2.2,
+        handleheight=1.3,
+    )

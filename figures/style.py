@@ -1,0 +1,162 @@
+"""How every figure looks: print sizes, paper symbols, colours, hatches, and saving."""
+
+import math
+import os
+import textwrap
+from dataclasses import dataclass
+from typing import Any
+
+from matplotlib import rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import TextPath
+
+COLUMN_WIDTH = 3.5  # inch, one column of a two-column paper
+PAGE_WIDTH = 7.16  # inch, both columns
+FONT_SIZE = 7.5  # point; smaller print is hard to read at column width
+SMALL_SIZE = 6.5  # point; legend and numbers inside cells
+
+RC: dict[Any, Any] = {  # Any: matplotlib types its keys as 300 literals
+    "figure.dpi": 300,
+    "savefig.dpi": 300,
+    "figure.constrained_layout.use": True,
+    "font.size": FONT_SIZE,
+    "axes.titlesize": FONT_SIZE,
+    "axes.labelsize": FONT_SIZE,
+    "figure.titlesize": FONT_SIZE,
+    "xtick.labelsize": FONT_SIZE - 0.5,
+    "ytick.labelsize": FONT_SIZE - 0.5,
+    "legend.fontsize": SMALL_SIZE,
+    "legend.title_fontsize": SMALL_SIZE,
+    "axes.linewidth": 0.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.major.width": 0.5,
+    "ytick.major.width": 0.5,
+    "xtick.minor.width": 0.4,
+    "ytick.minor.width": 0.4,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "xtick.minor.size": 1.5,
+    "ytick.minor.size": 1.5,
+    "xtick.direction": "out",
+    "ytick.direction": "out",
+    "hatch.linewidth": 0.5,
+    "mathtext.fontset": "dejavusans",
+}
+
+SYMBOLS = {
+    "K0": r"$K_0$",
+    "Fmax": r"$F_{Max}$",
+    "x0": r"$\tilde{x}_0$",
+    "xb": r"$\tilde{x}_b$",
+    "S": r"$S$",
+    "Td": r"$T_d$",
+    "xd": r"$x_d$",
+    "sigma": r"$\sigma$",
+    "period": "control period",  # the paper gives it no symbol
+    "I": r"$I$",
+    "Kenv": r"$K_{env}$",
+    "Denv": r"$D_{env}$",
+    "gap": "gap",  # no symbol in the paper either
+    "x_init": r"$x(0)$",
+    "v_init": r"$\dot{x}(0)$",
+}
+
+SEQUENTIAL = "viridis"
+# Luminance rises through zero as well, so that the sign survives a grey print; blue and orange
+# stay apart for colour-blind readers, and zero is the only neutral grey.
+DIVERGING = LinearSegmentedColormap.from_list(
+    "signed", ["#0a2463", "#3f6fb5", "#a6a6a6", "#f2b66d", "#fff3d1"]
+)
+
+
+@dataclass(frozen=True)
+class Hatch:
+    """Look of the cells that hold no number; hatched, so that no map colour can be meant."""
+
+    face: str
+    ink: str
+    pattern: str
+
+
+HATCHES = {
+    "not run": Hatch("white", "0.55", "....."),
+    "diverged": Hatch("black", "white", "xxxxx"),
+    "failed": Hatch("0.62", "black", "-----"),
+    "infinite": Hatch("white", "0.15", "//////"),
+    "no value": Hatch("0.85", "0.2", "+++++"),
+}
+
+
+def units_text(units: str) -> str:
+    """Units for print: a raised dot for products, nothing for the unit "1"."""
+    return "" if units in ("", "1") else units.replace("*", "·").replace("^2", "²")
+
+
+def number(value: float) -> str:
+    """Four significant digits, as a power of ten where plain digits would be long."""
+    text = f"{value:.4g}"
+    if "e" not in text:
+        return text.replace("-", "−")
+    mantissa, exponent = text.split("e")
+    power = f"10^{{{int(exponent)}}}"
+    return f"${power}$" if mantissa == "1" else rf"${mantissa}\times {power}$"
+
+
+def cell_number(value: float, digits: int) -> str:
+    """The shortest honest print of a cell: 0.012, 3.1, 240, 1.5e-5."""
+    if value == 0:
+        return "0"
+    text = f"{value:.{digits - 1}e}"
+    mantissa, exponent = text.split("e")
+    power = int(exponent)
+    if -3 <= power < 4:
+        return f"{float(text):.{max(digits - 1 - power, 0)}f}".replace("-", "−")
+    return ("−" if value < 0 else "") + f"{mantissa.lstrip('-')}e{power}"
+
+
+def share(fraction: float) -> str:
+    """A share in percent, never rounded to nothing or to everything."""
+    percent = 100 * fraction
+    if 0 < percent < 0.1:
+        return "<0.1"
+    if 99.5 <= percent < 100:
+        return ">99"
+    return f"{percent:.0f}" if percent >= 9.95 or percent == 0 else f"{percent:.1f}"
+
+
+def text_width(text: str, size: float) -> float:
+    """Printed width of the longest line, in points."""
+    font = FontProperties(family="DejaVu Sans", size=size)
+    lines = [line for line in text.split("\n") if line.strip()]
+    return max((TextPath((0, 0), line, prop=font).get_extents().width for line in lines), default=0)
+
+
+def wrap(pieces: list[str], width: float, size: float = FONT_SIZE) -> str:
+    """Pieces joined by commas into lines no wider than `width` points; no piece is broken."""
+    lines: list[str] = []
+    for piece in pieces:
+        if lines and text_width(f"{lines[-1]}, {piece}", size) <= width:
+            lines[-1] += f", {piece}"
+        else:
+            lines.append(piece)
+    return ",\n".join(lines)
+
+
+def fold(text: str, width: float, size: float = FONT_SIZE) -> str:
+    """Plain text broken at spaces and hyphens into lines no wider than `width` points."""
+    wide = text_width(text, size)
+    if wide <= width:
+        return text
+    return textwrap.fill(text, max(8, math.floor(0.9 * len(text) * width / wide)))
+
+
+def save(fig: Figure, path: str | os.PathLike[str]) -> None:
+    """Write a PNG at 200 dpi whose bytes depend on the picture alone."""
+    with rc_context(RC):
+        FigureCanvasAgg(fig).print_figure(
+            path, format="png", dpi=200, bbox_inches="tight", metadata={"Software": None}
+        )

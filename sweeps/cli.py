@@ -1,0 +1,388 @@
+"""`fic-sweep`: the command line, and the only file that prints.
+
+Heavy imports stay inside the commands, so that `--help` answers at once.
+"""
+
+import signal
+import sys
+import time
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+
+if TYPE_CHECKING:
+    from sweeps.runner import Progress, Tell
+    from sweeps.spec import Sweep
+    from sweeps.store import Store
+
+app = typer.Typer(
+    name="fic-sweep",
+    help="Sweep the Fractal Impedance Controller over any of its parameters.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+LIBRARY = Path(__file__).parent / "library"
+
+
+class Precision(StrEnum):
+    """Bits of a number."""
+
+    single = "32"
+    double = "64"
+
+
+class Format(StrEnum):
+    """What `export` writes."""
+
+    csv = "csv"
+    parquet = "parquet"
+    netcdf = "netcdf"
+
+
+What = Annotated[str, typer.Argument(metavar="NAME|FILE", help="library name or TOML file")]
+Where = Annotated[Path, typer.Argument(metavar="PATH", help="a result store")]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="change a value; a list or range is an axis"),
+]
+
+
+@app.command("list")
+def list_() -> None:
+    """Name the sweeps of the library."""
+    from sweeps.grid import Grid
+    from sweeps.validation import load
+
+    for path in sorted(LIBRARY.glob("*.toml")):
+        sweep = load(path)
+        print(f"{sweep.name:16} {Grid(sweep).cells:>12,}  {sweep.description}")
+
+
+@app.command()
+def show(what: What, set_: Set = None) -> None:
+    """Print a sweep file and what it comes to."""
+    sweep = _load(what, set_)
+    path = _find(what)
+    print(path.read_text(encoding="utf-8").rstrip())
+    print()
+    for line in _plan_lines(sweep, None, "float32"):
+        print(f"# {line}")
+    _warn(sweep)
+
+
+@app.command()
+def run(
+    what: What,
+    out: Annotated[Path | None, typer.Option(metavar="PATH", help="the store to make")] = None,
+    set_: Set = None,
+    dry_run: Annotated[bool, typer.Option(help="size, bytes and expected time only")] = False,
+    precision: Annotated[Precision, typer.Option(help="bits of a number")] = Precision.single,
+    chunk: Annotated[int | None, typer.Option(min=1, help="cells of a block at most")] = None,
+) -> None:
+    """Run a sweep into a new store."""
+    sweep = _load(what, set_)
+    from sweeps import runner
+
+    runner.configure(int(precision))
+    _warn(sweep)
+    if dry_run:
+        _dry_run(sweep, chunk, int(precision))
+        return
+    store = runner.start(out or Path(f"{sweep.name}.zarr"), sweep, chunk, int(precision))
+    _carry_out(store)
+
+
+@app.command()
+def resume(path: Where) -> None:
+    """Run the blocks of a store that are not done yet."""
+    from sweeps import runner
+    from sweeps.store import open_store
+
+    dtype = str(open_store(path, "r").group.attrs["dtype"])
+    precision = int(dtype.removeprefix("float"))
+    runner.configure(precision)
+    _carry_out(runner.reopen(path, precision))
+
+
+@app.command()
+def status(path: Where) -> None:
+    """Tell how far a store is and what made it."""
+    from sweeps.store import open_store
+
+    store = open_store(path, "r")
+    counts, attrs = store.counts(), store.group.attrs.asdict()
+    done = store.grid.cells - counts["not run"]
+    print(f"{path}: {store.grid.sweep.name}, {_dims(store.grid.dims)}")
+    print(f"done      {done:,} of {store.grid.cells:,} cells ({_percent(done, store.grid.cells)})")
+    for name, count in counts.items():
+        print(f"  {name:8}{count:>14,}")
+    print(f"blocks    {len(store.pending()):,} of {store.grid.n_blocks:,} to do")
+    print(f"began     {attrs['start']}, ended {attrs.get('end', 'not yet')}")
+    print(f"made by   fic_jax {attrs['fic_jax']} ({attrs['revision']}), jax {attrs['jax']}")
+    print(f"on        {attrs['device']}, {attrs['dtype']}")
+
+
+@app.command()
+def plot(
+    path: Where,
+    x: Annotated[str, typer.Option(help="dimension drawn to the right")],
+    y: Annotated[str, typer.Option(help="dimension drawn upwards")],
+    metric: Annotated[str, typer.Option(help="what the colour shows")] = "nmse",
+    at: Annotated[
+        list[str] | None, typer.Option(metavar="KEY=VALUE", help="where the rest is cut")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="the picture to write")] = None,
+) -> None:
+    """Draw a heatmap of a metric over two dimensions."""
+    from figures import PlotError, save
+    from figures import plot as draw
+    from sweeps.store import dataset
+
+    data = dataset(path)
+    fixed = dict(_pair(text, "--at") for text in at or [])
+    try:
+        figure = draw(data, x=x, y=y, metric=metric, at=fixed)
+    except PlotError as error:
+        _refuse(f"{path}: {error}")
+    target = out or Path(f"{data.attrs['name']}-{metric}.png")
+    try:
+        save(figure, target)
+    except (OSError, ValueError) as error:
+        _refuse(f"{target}: can't be written: {error}")
+    print(f"wrote {target}")
+
+
+@app.command()
+def export(
+    path: Where,
+    to: Annotated[Format, typer.Option(help="what to write")],
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="the file to make")] = None,
+) -> None:
+    """Write a store as one table or one NetCDF file."""
+    from sweeps.export import SUFFIX, write
+    from sweeps.store import dataset
+
+    data = dataset(path)
+    target = out or Path(f"{data.attrs['name']}{SUFFIX[to.value]}")
+    rows = write(data, target, to.value)
+    print(f"wrote {target}, {rows:,} scenarios")
+
+
+@app.command()
+def bench(
+    scenarios: Annotated[int, typer.Option(min=1, help="scenarios of a run")] = 65_536,
+    steps: Annotated[int, typer.Option(min=2, help="plant steps of a scenario")] = 1_000,
+    repeats: Annotated[int, typer.Option(min=1, help="runs of each, taken in turn")] = 5,
+    json: Annotated[bool, typer.Option("--json", help="for machines")] = False,
+) -> None:
+    """Measure this machine: the engine against the plain jit(vmap(scan)) of the same step."""
+    import json as encoder
+
+    from sweeps.bench import compare, table
+
+    result = compare(scenarios, steps, repeats)
+    print(encoder.dumps(result) if json else table(result))
+
+
+def _find(what: str) -> Path:
+    """A library sweep by name, or a file. A name never hides a file that is there."""
+    from fic_jax.params import suggest
+
+    if Path(what).is_file() or "/" in what or what.endswith(".toml"):
+        return Path(what)
+    path = LIBRARY / f"{what}.toml"
+    if not path.is_file():
+        names = sorted(p.stem for p in LIBRARY.glob("*.toml"))
+        hint = suggest(what, names) or f"; there are {', '.join(names)}"
+        _refuse(f"{what}: is no file and no sweep of the library{hint}")
+    return path
+
+
+def _load(what: str, set_: list[str] | None) -> "Sweep":
+    from sweeps.validation import load
+
+    return load(_find(what), tuple(set_ or ()))
+
+
+def _warn(sweep: "Sweep") -> None:
+    from sweeps.runner import warnings_of
+
+    for line in warnings_of(sweep):
+        print(f"fic-sweep: warning: {sweep.name}: {line}", file=sys.stderr)
+
+
+def _plan_lines(sweep: "Sweep", chunk: int | None, dtype: str) -> list[str]:
+    from sweeps.grid import Grid
+    from sweeps.store import size
+
+    grid = Grid(sweep, chunk)
+    shape = " x ".join(str(n) for n in grid.block_shape)
+    return [
+        f"{_dims(grid.dims)} = {grid.cells:,} scenarios of {sweep.n_steps:,} steps",
+        f"{grid.n_blocks:,} blocks of up to {shape}",
+        f"{_bytes(size(grid, dtype))} on disk before compression",
+    ]
+
+
+def _dry_run(sweep: "Sweep", chunk: int | None, precision: int) -> None:
+    from sweeps.grid import Grid
+    from sweeps.runner import measure
+
+    for line in _plan_lines(sweep, chunk, f"float{precision}"):
+        print(line)
+    compiling, rate = measure(Grid(sweep, chunk))
+    models = 1
+    for choice in sweep.model.values():
+        models *= len(choice) if isinstance(choice, list) else 1
+    seconds = models * compiling + Grid(sweep, chunk).cells / rate
+    print(
+        f"about {_duration(seconds)} at {rate:,.0f} scenarios/s "
+        f"({rate * sweep.n_steps / 1e6:,.0f} M steps/s) on this machine, measured just now"
+    )
+
+
+def _carry_out(store: "Store") -> None:
+    """Run a store to its end, with progress; whatever happens, finished blocks stay."""
+    from sweeps import runner
+
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends like Ctrl-C
+    try:
+        if sys.stdout.isatty():
+            result = _with_bar(store)
+        else:
+            result = runner.run(store, _plain_lines())
+    except (KeyboardInterrupt, OSError) as error:
+        todo = len(store.pending())
+        why = "interrupted" if isinstance(error, KeyboardInterrupt) else f"failed: {error}"
+        print(
+            f"fic-sweep: {why}; {store.grid.n_blocks - todo} of {store.grid.n_blocks} blocks are "
+            f"kept, `fic-sweep resume {store.path}` does the rest",
+            file=sys.stderr,
+        )
+        raise typer.Exit(1) from None
+    if not result.ran:
+        print(f"{store.path}: complete already, {result.cells:,} scenarios")
+        return
+    rate = result.ran / result.seconds
+    diverged = f", {result.diverged:,} diverged" if result.diverged else ""
+    print(
+        f"{store.path}: {result.ran:,} scenarios in {_duration(result.seconds)}, "
+        f"{rate:,.0f}/s ({rate * store.grid.sweep.n_steps / 1e6:,.0f} M steps/s){diverged}"
+    )
+
+
+def _with_bar(store: "Store") -> "Progress":
+    from rich.progress import BarColumn, TextColumn
+    from rich.progress import Progress as Bar
+
+    from sweeps import runner
+
+    text = TextColumn("{task.percentage:>3.0f} % {task.fields[told]}")
+    with Bar(TextColumn(store.grid.sweep.name), BarColumn(), text) as bar:
+        task = bar.add_task("", total=store.grid.cells, told="compiling")
+
+        def tell(progress: "Progress") -> None:
+            bar.update(task, completed=progress.done, told=_told(progress))
+
+        return runner.run(store, tell)
+
+
+def _plain_lines(every: float = 10.0) -> "Tell":
+    """One line now and then, for logs."""
+    last = time.monotonic()
+
+    def tell(progress: "Progress") -> None:
+        nonlocal last
+        if progress.ran and time.monotonic() - last >= every:
+            last = time.monotonic()
+            share = _percent(progress.done, progress.cells)
+            print(
+                f"{progress.done:,} of {progress.cells:,} ({share}) {_told(progress)}", flush=True
+            )
+
+    return tell
+
+
+def _told(progress: "Progress") -> str:
+    if not progress.ran:
+        return "compiling"
+    rate = progress.ran / progress.seconds
+    left = (progress.cells - progress.done) / rate
+    return f"{rate:,.0f} scenarios/s, {_duration(left)} left"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 100:
+        return f"{seconds:.1f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def _bytes(n: float) -> str:
+    for unit in ("B", "kB", "MB", "GB"):
+        if n < 1000:
+            return f"{n:.3g} {unit}"
+        n /= 1000
+    return f"{n:.3g} TB"
+
+
+def _percent(part: int, whole: int) -> str:
+    return f"{100 * part / whole:.4g} %"
+
+
+def _dims(dims: dict[str, int]) -> str:
+    return " x ".join(f"{name} {n}" for name, n in dims.items())
+
+
+def _pair(text: str, option: str) -> tuple[str, Any]:
+    key, equals, value = text.partition("=")
+    if not (key and equals and value):
+        _refuse(f"{option} {text}: must be KEY=VALUE, as in {option} Td=5")
+    return key.strip(), value.strip()
+
+
+def _refuse(message: str) -> NoReturn:
+    """The request was wrong: say so and stop."""
+    for line in message.splitlines():
+        print(f"fic-sweep: {line}", file=sys.stderr)
+    raise typer.Exit(2)
+
+
+def main() -> None:
+    """Entry point: exit 0 done, 1 failed or interrupted, 2 the request was wrong."""
+    try:
+        sys.exit(_dispatch())
+    except BrokenPipeError:  # `fic-sweep list | head`
+        sys.stderr.close()
+        sys.exit(1)
+
+
+def _dispatch() -> int:
+    try:
+        return typer.main.get_command(app)(standalone_mode=False) or 0
+    except typer.Exit as stop:
+        return stop.exit_code
+    except (KeyboardInterrupt, typer.Abort):
+        print("fic-sweep: interrupted", file=sys.stderr)
+        return 1
+    except Exception as error:
+        message = _message_of(error)
+        if message is None:
+            raise
+        for line in message.splitlines():
+            print(f"fic-sweep: {line}", file=sys.stderr)
+        return 2
+
+
+def _message_of(error: Exception) -> str | None:
+    """The line for a wrong request; None for our own mistakes, which keep their traceback."""
+    if hasattr(error, "format_message"):  # a wrong option, as the parser of typer tells it
+        return str(error.format_message())
+    from sweeps.spec import SweepError
+
+    return str(error) if isinstance(error, SweepError) else None

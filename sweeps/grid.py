@@ -1,0 +1,114 @@
+"""The plan: a sweep's dimensions, its blocks, and the scenarios of a block from its own indices."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, cast
+
+import numpy as np
+
+from fic_jax import QUANTITIES, Model, Params
+from sweeps.design import draw
+from sweeps.spec import Sweep
+
+# A block is the unit of work, of storage and of what an interruption costs: about a second.
+BLOCK_STEPS = 150_000_000
+SMALLEST_BLOCK, LARGEST_BLOCK = 4_096, 1_000_000
+
+Block = tuple[slice, ...]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The cells of a sweep in blocks of at most `chunk` cells; no array of them ever exists.
+
+    Dimensions in order: model choices given as lists, axes, `case`, `scenario`.
+    """
+
+    sweep: Sweep
+    chunk: int | None = None  # cells of a block; chosen from the number of steps if None
+
+    @cached_property
+    def dims(self) -> dict[str, int]:
+        """Name and length of each dimension."""
+        sweep = self.sweep
+        dims = {name: len(c) for name, c in sweep.model.items() if isinstance(c, list)}
+        for name, axis in sweep.axes.items():
+            dims[name] = len(axis) if isinstance(axis, list) else axis.n
+        if sweep.cases:
+            dims["case"] = len(next(iter(sweep.cases.values())))
+        if sweep.sample:
+            dims["scenario"] = sweep.sample.n
+        return dims
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return tuple(self.dims.values())
+
+    @property
+    def cells(self) -> int:
+        return math.prod(self.shape)
+
+    @property
+    def block_cells(self) -> int:
+        """Cells that a block may have."""
+        if self.chunk:
+            return self.chunk
+        return min(max(BLOCK_STEPS // self.sweep.n_steps, SMALLEST_BLOCK), LARGEST_BLOCK)
+
+    @cached_property
+    def block_shape(self) -> tuple[int, ...]:
+        """Near-cubic blocks: the longest side is halved until a block fits.
+
+        One model to a block, since another model is another program.
+        """
+        choices = self.sweep.model
+        sides = [1 if isinstance(choices.get(d), list) else n for d, n in self.dims.items()]
+        while math.prod(sides) > self.block_cells:
+            longest = sides.index(max(sides))
+            sides[longest] = -(-sides[longest] // 2)
+        return tuple(sides)
+
+    @property
+    def n_blocks(self) -> int:
+        return math.prod(-(-n // b) for n, b in zip(self.shape, self.block_shape, strict=True))
+
+    def blocks(self) -> Iterator[Block]:
+        """The blocks in storage order, each a slice per dimension."""
+        counts = [-(-n // b) for n, b in zip(self.shape, self.block_shape, strict=True)]
+        for index in np.ndindex(*counts):
+            sides = zip(index, self.block_shape, self.shape, strict=True)
+            yield tuple(slice(i * b, min((i + 1) * b, n)) for i, b, n in sides)
+
+    def model(self, block: Block) -> Model:
+        """The model of a block."""
+        chosen: dict[str, str] = {}
+        place = dict(zip(self.dims, block, strict=True))
+        for name, choice in self.sweep.model.items():
+            chosen[name] = choice[place[name].start] if isinstance(choice, list) else choice
+        return Model(**cast(Any, chosen))
+
+    def params(self, block: Block) -> Params:
+        """The scenarios of a block, flat in storage order; constant fields stay scalars."""
+        shape = tuple(s.stop - s.start for s in block)
+        columns: dict[str, Any] = dict(self.sweep.constants)
+        for i, (dim, part) in enumerate(zip(self.dims, block, strict=True)):
+            for name, values in self.coordinates(dim, part).items():
+                if name in QUANTITIES:
+                    along = values.reshape([-1 if j == i else 1 for j in range(len(shape))])
+                    columns[name] = np.broadcast_to(along, shape).reshape(-1)
+        return Params(**columns)
+
+    def coordinates(self, dim: str, part: slice = slice(None)) -> dict[str, np.ndarray]:
+        """What varies along a dimension: name -> values over the indices `part`."""
+        sweep = self.sweep
+        start, stop, _ = part.indices(self.dims[dim])
+        if dim in sweep.axes:
+            return {dim: sweep.axis_values(dim)[start:stop]}
+        if dim == "case":
+            columns = {name: np.array(column)[start:stop] for name, column in sweep.cases.items()}
+            return {"case": np.arange(start, stop)} | columns
+        if dim == "scenario" and sweep.sample:
+            return draw(sweep.sample, start, stop)
+        return {dim: np.array(sweep.model[dim])[start:stop]}

@@ -1,0 +1,57 @@
+"""Which program, on what, made a store: what two runs must share to have the same bits."""
+
+import hashlib
+import os
+import subprocess
+from importlib.metadata import version
+from pathlib import Path
+
+import jax
+
+import fic_jax
+import sweeps
+
+# What must agree before a store is continued. The rest (device, revision) is told, not compared.
+IDENTITY = ("program", "jax", "jaxlib", "platform", "dtype", "xla_flags")
+
+
+def provenance(precision: int) -> dict[str, str]:
+    """Attributes that name the program, its libraries, the device and the precision."""
+    device = jax.devices()[0]
+    return {
+        "fic_jax": fic_jax.__version__,
+        "program": fingerprint(),
+        "revision": revision(),
+        "jax": jax.__version__,
+        "jaxlib": version("jaxlib"),
+        "platform": device.platform,
+        "device": f"{jax.local_device_count()} x {device.device_kind}",
+        "dtype": f"float{precision}",
+        "xla_flags": os.environ.get("XLA_FLAGS", ""),
+    }
+
+
+def fingerprint() -> str:
+    """SHA-256 of every source that decides a number: all of fic_jax, and how cells get values."""
+    engine = sorted(Path(fic_jax.__file__).parent.rglob("*.py"))
+    plan = [Path(sweeps.__file__).parent / name for name in ("design.py", "grid.py", "spec.py")]
+    digest = hashlib.sha256()
+    for path in [*engine, *plan]:
+        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()[:16]
+
+
+def revision() -> str:
+    """The source's git commit, with `+` where the working tree differs; the version elsewhere."""
+    git = ["git", "-C", str(Path(fic_jax.__file__).parent)]
+    try:
+        described = subprocess.run(
+            [*git, "describe", "--always", "--abbrev=12", "--dirty=+", "--exclude=*"],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=10,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return fic_jax.__version__
+    return described.stdout.strip()

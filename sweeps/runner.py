@@ -1,0 +1,139 @@
+"""From a sweep to a store: plan, blocks, engine, commit. Prints nothing; tells a callback."""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from fic_jax import Params, sweep, tune_for_throughput
+from sweeps.grid import Grid
+from sweeps.provenance import IDENTITY, provenance
+from sweeps.spec import Sweep, SweepError
+from sweeps.store import Store, create, open_store
+
+STABLE = 2.78  # |lambda| dt beyond which RK4 diverges on a linear system
+ACCURATE = 1.0  # |lambda| dt up to which a step resolves it
+
+MEASURED_STEPS = 30_000_000  # plant steps of a dry run's measurement, some tenths of a second
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Told once before the first block and once after each."""
+
+    cells: int  # of the whole sweep
+    done: int  # cells in the store
+    ran: int  # cells done by this run
+    diverged: int  # among them
+    seconds: float  # since this run began
+
+
+Tell = Callable[[Progress], None]
+
+
+def configure(precision: int) -> None:
+    """Set JAX up for sweeps; before JAX starts."""
+    tune_for_throughput()
+    jax.config.update("jax_enable_x64", precision == 64)
+
+
+def start(path: Path, plan: Sweep, chunk: int | None, precision: int) -> Store:
+    """Make the store of a new run. Raises SweepError if it can't be."""
+    attributes = provenance(precision) | {"start": _now()}
+    return create(path, Grid(plan, chunk), attributes)
+
+
+def reopen(path: Path, precision: int) -> Store:
+    """Open a store to be continued; refuses one that another program began."""
+    store = open_store(path)
+    began, now = store.group.attrs.asdict(), provenance(precision)
+    differing = [f"{k} was {began.get(k)}, is {now[k]}" for k in IDENTITY if began.get(k) != now[k]]
+    if differing:
+        raise SweepError(
+            f"{path}: was begun by another program ({'; '.join(differing)}); "
+            "continue it with that one, or run the sweep again into another --out"
+        )
+    return store
+
+
+def run(store: Store, tell: Tell) -> Progress:
+    """Run every block that is not done and commit it; safe to interrupt between any two lines."""
+    grid, began = store.grid, time.perf_counter()
+    pending = store.pending()
+    todo = sum(_cells(block) for block in pending)
+    progress = Progress(grid.cells, grid.cells - todo, 0, 0, 0.0)
+    tell(progress)
+    for block in pending:
+        metrics = sweep(
+            grid.params(block),
+            model=grid.model(block),
+            dt=grid.sweep.time.dt,
+            n_steps=grid.sweep.n_steps,
+        )
+        diverged = progress.diverged + store.write(block, metrics)
+        ran = progress.ran + _cells(block)
+        seconds = time.perf_counter() - began
+        progress = Progress(grid.cells, grid.cells - todo + ran, ran, diverged, seconds)
+        tell(progress)
+    if pending:
+        store.note(end=_now())
+    return progress
+
+
+def measure(grid: Grid) -> tuple[float, float]:
+    """Seconds before the first result, and scenarios a second, from a short run of the plan."""
+    block = next(grid.blocks())
+    n = max(1, min(_cells(block), MEASURED_STEPS // grid.sweep.n_steps))
+    whole = vars(grid.params(block)).items()
+    batch = Params(**{name: v[:n] if np.ndim(v) else v for name, v in whole})
+    seconds = []
+    for _ in range(2):
+        began = time.perf_counter()
+        sweep(batch, model=grid.model(block), dt=grid.sweep.time.dt, n_steps=grid.sweep.n_steps)
+        seconds.append(time.perf_counter() - began)
+    return max(seconds[0] - seconds[1], 0.0), n / seconds[1]
+
+
+def warnings_of(plan: Sweep) -> Iterator[str]:
+    """What is allowed but should be known: a non-monotone profile, a coarse dt."""
+    p = plan.extremes()
+    with np.errstate(all="ignore"):  # extremes may overflow; the comparison still stands
+        overshoot = np.max(np.asarray(p.K0) * np.asarray(p.x0) / np.asarray(p.Fmax))
+        stiffest = _fastest_rate(p) * plan.time.dt
+    if overshoot > 1.0:
+        yield (
+            f"K0*x0 reaches {overshoot:.3g} times Fmax: there the force profile (eq. 1) is not "
+            "monotone and the torque is cut off at Fmax"
+        )
+    if stiffest > ACCURATE:
+        state = "unstable" if stiffest > STABLE else "inaccurate"
+        yield (
+            f"dt = {plan.time.dt:g} s is {stiffest:.3g} times the time constant of the stiffest "
+            f"scenario: RK4 is {state} there (it resolves up to {ACCURATE:g}, diverges beyond "
+            f"{STABLE:g}); dt = {plan.time.dt / stiffest:.2g} s would do"
+        )
+
+
+def _fastest_rate(p: Params) -> float:
+    """Largest |eigenvalue| (1/s) of I s^2 + D s + K = 0 over the scenarios.
+
+    K is the environment's stiffness plus the steepest the controller gets: 2 K0 while converging
+    in the linear zone, or |dF|/b where the profile starts to saturate (eq. 1).
+    """
+    b = (np.asarray(p.xb) - p.x0) / p.S
+    steepest = np.maximum(2.0 * np.asarray(p.K0), np.abs(p.Fmax - np.asarray(p.K0) * p.x0) / b)
+    K, D, inertia = steepest + p.Kenv, np.asarray(p.Denv), np.asarray(p.I)
+    root = np.sqrt((D**2 - 4.0 * inertia * K).astype(complex))
+    return float(np.max(np.abs((D + root) / (2.0 * inertia))))
+
+
+def _cells(block: tuple[slice, ...]) -> int:
+    return int(np.prod([part.stop - part.start for part in block], dtype=np.int64))
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")

@@ -1,0 +1,160 @@
+"""The sweep record: the types of a sweep file and what they stand for."""
+
+import hashlib
+from typing import Annotated, Any, Literal, Self, cast
+
+import numpy as np
+from pydantic import (
+    AllowInfNan,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Strict,
+    Tag,
+    model_validator,
+)
+
+from fic_jax import METRICS, Params
+
+MAX_AXIS = 10_000_000  # values of one axis: they are held in memory, the grid is not
+MAX_CASES = 10_000  # rows of [cases]: written by hand
+MAX_STEPS = 100_000_000  # plant steps are counted in int32
+# Fields that take part in a check of more than one field (xb > x0, Fmax, the stiffest scenario).
+COUPLED = ("K0", "Fmax", "x0", "xb", "S", "I", "Kenv", "Denv")
+STORED = tuple(name for name in METRICS if name != "finite")  # `status` in the store tells that
+
+Number = Annotated[float, Strict(), AllowInfNan(False)]
+Count = Annotated[int, Strict(), Field(ge=2, le=MAX_AXIS)]
+Method = Literal["sobol", "lhs", "random"]
+
+
+class SweepError(Exception):
+    """A request that can't be run; its text is one clear line for each thing wrong."""
+
+
+class Record(BaseModel):
+    """Base of the tables of a sweep file: no unknown keys, no changes."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Span(Record):
+    """A range of values: `{ log = [a, b] }` or `{ lin = [a, b] }`."""
+
+    log: tuple[Number, Number] | None = None
+    lin: tuple[Number, Number] | None = None
+
+    @model_validator(mode="after")
+    def _one_scale(self) -> Self:
+        if (self.log is None) == (self.lin is None):
+            raise ValueError("either log = [a, b] or lin = [a, b]")
+        if self.log and min(self.log) <= 0:
+            raise ValueError("between positive ends on a log scale")
+        if len(set(self.ends)) < 2:
+            raise ValueError("between two different ends")
+        return self
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        return cast(tuple[float, float], self.log or self.lin)
+
+    def at(self, fraction: np.ndarray) -> np.ndarray:
+        """Values at fractions 0..1 of the range, on its own scale; the ends come out exactly."""
+        a, b = self.ends
+        if self.lin:
+            return a + (b - a) * fraction
+        inside = np.exp(np.log(a) + (np.log(b) - np.log(a)) * fraction)
+        return np.where(fraction == 0.0, a, np.where(fraction == 1.0, b, inside))
+
+
+class Spacing(Span):
+    """An axis of `n` values evenly spaced over a range, both ends included."""
+
+    n: Count
+
+    def values(self) -> np.ndarray:
+        return self.at(np.linspace(0.0, 1.0, self.n))
+
+
+Values = Annotated[list[Number], Field(min_length=1, max_length=MAX_AXIS)]
+Column = Annotated[list[Number], Field(min_length=1, max_length=MAX_CASES)]
+# The tag keeps a wrong value from being explained twice, once for each alternative.
+Axis = Annotated[
+    Annotated[Values, Tag("list")] | Annotated[Spacing, Tag("table")],
+    Discriminator(lambda given: "table" if isinstance(given, dict | Spacing) else "list"),
+]
+Choice = Annotated[
+    Annotated[str, Tag("text")] | Annotated[list[str], Field(min_length=1), Tag("list")],
+    Discriminator(lambda given: "list" if isinstance(given, list) else "text"),
+]
+
+
+class Time(Record):
+    """The time grid, shared by all scenarios of a sweep."""
+
+    dt: Annotated[Number, Field(gt=0)] = 0.01  # s, plant step
+    t_end: Annotated[Number, Field(gt=0)] = 10.0  # s
+
+
+class Sample(Record):
+    """A random design instead of axes: `n` scenarios drawn from the ranges."""
+
+    n: Annotated[int, Strict(), Field(ge=1, le=2**32)]  # a 32-bit Sobol sequence's length
+    method: Method = "sobol"
+    seed: Annotated[int, Strict(), Field(ge=0)] = 0
+    ranges: Annotated[dict[str, Span], Field(min_length=1)]
+
+
+class Sweep(Record):
+    """Everything that decides a sweep's numbers, but for the program and its precision."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
+    description: str = ""
+    metrics: Annotated[list[str], Field(min_length=1)] = list(STORED)
+    time: Time = Time()
+    model: dict[str, Choice] = {}
+    constants: dict[str, Number] = {}
+    axes: dict[str, Axis] = {}
+    cases: dict[str, Column] = {}
+    sample: Sample | None = None
+
+    @property
+    def n_steps(self) -> int:
+        return round(self.time.t_end / self.time.dt)
+
+    def axis_values(self, name: str) -> np.ndarray:
+        axis = self.axes[name]
+        return axis.values() if isinstance(axis, Spacing) else np.array(axis)
+
+    def record(self) -> str:
+        """The sweep as JSON: what a store keeps, and what two sweeps are compared by."""
+        return self.model_dump_json(exclude_none=True)
+
+    def sha256(self) -> str:
+        return hashlib.sha256(self.record().encode()).hexdigest()
+
+    def given(self) -> dict[str, dict[str, np.ndarray]]:
+        """Every field the sweep sets: section -> name -> its values (a range: its ends)."""
+        ranges = self.sample.ranges if self.sample else {}
+        return {
+            "constants": {name: np.array([value]) for name, value in self.constants.items()},
+            "axes": {name: self.axis_values(name) for name in self.axes},
+            "cases": {name: np.array(column) for name, column in self.cases.items()},
+            "sample.ranges": {name: np.array(span.ends) for name, span in ranges.items()},
+        }
+
+    def extremes(self) -> Params:
+        """Params with a leaf for each case and each combination of the axes' ends.
+
+        Only of the fields that bounds couple: any two of them meet at their worst in here.
+        """
+        given = self.given()
+        columns: dict[str, Any] = {name: v[0] for name, v in given["constants"].items()}
+        swept = given["axes"] | given["sample.ranges"]
+        ends = {n: np.array([v.min(), v.max()]) for n, v in swept.items() if n in COUPLED}
+        n_cases = max((len(column) for column in given["cases"].values()), default=1)
+        index = np.indices((n_cases, *(2 for _ in ends))).reshape(1 + len(ends), -1)
+        columns |= {name: v[i] for (name, v), i in zip(ends.items(), index[1:], strict=True)}
+        columns |= {name: column[index[0]] for name, column in given["cases"].items()}
+        return Params(**columns)
