@@ -124,10 +124,9 @@ def steps_per_period(period: Scalar, dt: Scalar) -> jax.Array:
 
 def suggest(word: str, known: tuple[str, ...] | list[str]) -> str:
     """'; did you mean `x`?' for the nearest known word, or an empty string."""
-    near = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
-    if not near:
-        near = [k for k in known if k.lower() == word.lower()]
-    return f"; did you mean `{near[0]}`?" if near else ""
+    lower = {name.lower(): name for name in known}
+    near = difflib.get_close_matches(word.lower(), lower, n=1, cutoff=0.5)
+    return f"; did you mean `{lower[near[0]]}`?" if near else ""
 
 
 def check_field(name: str, values: Any, dt: float | None = None) -> None:

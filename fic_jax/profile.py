@@ -7,9 +7,11 @@ from fic_jax.params import Params, Scalar
 
 
 def _saturation(e_abs: Scalar, p: Params) -> tuple[jax.Array, jax.Array]:
-    """`b` (rad) and exp(-(min(|e|, xb) - x0)/b), one where |e| < x0 so that nothing overflows."""
+    """`b` (rad) and exp(-(|e| - x0)/b), held at its ends outside x0..xb."""
     b = (p.xb - p.x0) / p.S
-    return b, jnp.exp(-(jnp.clip(e_abs, p.x0, p.xb) - p.x0) / b)
+    # where, not clip: at |e| = x0 a clip would pass on half the gradient only
+    inside = jnp.where(e_abs < p.x0, p.x0, jnp.where(e_abs < p.xb, e_abs, p.xb))
+    return b, jnp.exp(-(inside - p.x0) / b)
 
 
 def force(e: Scalar, p: Params) -> jax.Array:

@@ -43,6 +43,8 @@ def parse(text: str, source: str, overrides: tuple[str, ...] = ()) -> Sweep:
         raw = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise SweepError(f"{source}: {_syntax(str(error), text)}") from None
+    except RecursionError:
+        raise SweepError(f"{source}: not valid TOML: nested too deeply") from None
     for override in overrides:
         _override(raw, override)
     return validate(raw, source)
@@ -136,7 +138,9 @@ def _problems(sweep: Sweep) -> Iterator[str]:
     try:
         check(sweep.extremes(), sweep.time.dt)
     except ParamsError as error:
-        yield str(error)
+        given = any(error.key in fields for fields in sweep.given().values())
+        default = "" if given else " (the default)"
+        yield f"`{error.key}` must be {error.wanted}, but is {error.value}{default}."
 
 
 def _unknown_names(sweep: Sweep) -> Iterator[str]:

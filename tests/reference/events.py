@@ -145,7 +145,8 @@ def travel(
     """From event to event until t_stop; returns the state there and the cell it is in."""
     for _ in range(MOST_EVENTS):
         record.enter(s.t, cell)
-        if s.v == 0.0 and cell.acceleration(s.x, 0.0) == 0.0:
+        # Nothing more moves: the last event came at t_stop itself, or the motion rests.
+        if s.t >= t_stop or (s.v == 0.0 and cell.acceleration(s.x, 0.0) == 0.0):
             for _time in record.due(t_stop):
                 record.sample(s.x, s.v, s, cell)
             return State(t_stop, s.x, s.v, s.x_h, s.e_M), cell

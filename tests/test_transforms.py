@@ -1,0 +1,231 @@
+"""What JAX does to the functions: compile, batch, differentiate, chunk, without changing them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import fic_jax
+from fic_jax import CHOICES, METRICS, Model, Params, ParamsError, control, evaluate, init, rollout
+from fic_jax import step as public_step
+from fic_jax.engine import BLOCKS, LANES, _compiled
+from fic_jax.profile import energy, force
+
+DT = 0.01
+APPROACH = Params(K0=100.0, Kenv=500.0, Td=5.0, gap=0.5, xd=0.5)
+
+
+def random_batch(n, seed=0, dtype=np.float64):
+    rng = np.random.default_rng(seed)
+    columns = {
+        "K0": np.exp(rng.uniform(0.0, 6.9, n)),
+        "Kenv": rng.uniform(10.0, 800.0, n),
+        "Denv": rng.uniform(0.0, 300.0, n),
+        "Td": rng.uniform(1.0, 20.0, n),
+        "gap": rng.choice([0.0, 0.5], n),
+        "period": DT * rng.integers(1, 10, n),
+    }
+    return Params(**{name: column.astype(dtype) for name, column in columns.items()})
+
+
+def pick(batch, index):
+    return Params(**{k: v[index] if np.ndim(v) else v for k, v in vars(batch).items()})
+
+
+def assert_same(one, other):
+    for name in METRICS:
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+
+
+@pytest.mark.parametrize("law", CHOICES["law"])
+def test_jit_equals_eager(law):
+    """To a few ulp over 20 steps: compiled code may fuse a product and a sum."""
+    model, states = Model(law=law), []
+    for compiled in (True, False):
+        state = init(APPROACH, model)
+        with jax.disable_jit(not compiled):
+            for _ in range(20):
+                state, sample = public_step(APPROACH, state, model=model, dt=DT)
+        states.append(jax.tree.map(np.asarray, (state, sample)))
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-13), *states)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_scenario_alone_equals_its_lane_in_a_full_block(dtype):
+    """Bit for bit, whatever its neighbours, its place, the number of scenarios and of calls."""
+    n = 2 * BLOCKS * LANES + 77  # more than one call of the program, with a ragged end
+    batch = random_batch(n, dtype=dtype)
+    whole = fic_jax.sweep(batch, dt=DT, n_steps=60)
+    assert whole.nmse.dtype == dtype
+    for index in (0, 1, LANES, n // 2, n - 1):
+        alone = fic_jax.sweep(pick(batch, slice(index, index + 1)), dt=DT, n_steps=60)
+        assert_same(alone, jax.tree.map(lambda a, i=index: a[i : i + 1], whole))
+    order = np.random.default_rng(1).permutation(n)
+    shuffled = fic_jax.sweep(pick(batch, order), dt=DT, n_steps=60)
+    assert_same(shuffled, jax.tree.map(lambda a: a[order], whole))
+
+
+def test_one_device_equals_two():
+    batch = random_batch(1000)
+    both = fic_jax.sweep(batch, dt=DT, n_steps=60)
+    assert jax.local_device_count() == 2
+    program, sharding = _compiled(Model(), 60, tuple(jax.local_devices()[:1]))
+    leaves = [np.asarray(getattr(batch, name)) for name in fic_jax.QUANTITIES]
+    columns, blocks = fic_jax.engine._pack(leaves, slice(0, 1000), np.dtype(float), 1)
+    one = program(jax.device_put(columns, sharding), np.float64(DT), blocks)
+    assert_same(jax.tree.map(lambda a: np.asarray(a).reshape(-1)[:1000], one), both)
+
+
+def test_sweep_equals_evaluate():
+    """The arranged engine and the plain public function, on regular scenarios, to rounding."""
+    batch = random_batch(16)
+    swept = fic_jax.sweep(batch, dt=DT, n_steps=200)
+    for i in range(16):
+        single = evaluate(pick(batch, i), dt=DT, n_steps=200)
+        for name in METRICS:
+            np.testing.assert_allclose(
+                getattr(swept, name)[i], getattr(single, name), rtol=1e-9, atol=1e-12
+            )
+
+
+def test_values_never_recompile():
+    """A second call with other values, another N or another dt traces nothing."""
+    model = Model(law="effort")
+    fic_jax.sweep(random_batch(10), model=model, dt=DT, n_steps=50)
+    program, _ = _compiled(model, 50, tuple(jax.local_devices()))
+    state = init(APPROACH, model)
+    state, _ = public_step(APPROACH, state, model=model, dt=DT)
+    traced = public_step._cache_size(), program._cache_size(), evaluate._cache_size()
+    for n in (1, 10, 3 * LANES):
+        # every third of a millisecond divides no period of random_batch; take one that does
+        fic_jax.sweep(random_batch(n, seed=n), model=model, dt=DT / 2, n_steps=50)
+    public_step(Params(K0=3.0, Td=1.0, gap=0.2), state, model=model, dt=0.002)
+    assert (public_step._cache_size(), program._cache_size(), evaluate._cache_size()) == traced
+
+
+def test_a_changed_model_or_step_count_compiles_once():
+    before = rollout._cache_size()
+    for _ in range(2):
+        rollout(APPROACH, model=Model(peak="running"), dt=DT, n_steps=7)
+        rollout(APPROACH, model=Model(peak="running"), dt=DT, n_steps=8)
+    assert rollout._cache_size() == before + 2
+
+
+def test_vmap_scan_and_user_jit_compose():
+    batch = random_batch(5)
+
+    @jax.jit
+    def mine(batch):
+        def one(p):
+            def body(state, _):
+                return public_step(p, state, dt=DT)
+
+            return jax.lax.scan(body, init(p), length=30)[1].x
+
+        columns = jax.tree.map(lambda leaf: jnp.broadcast_to(jnp.asarray(leaf), 5), batch)
+        return jax.vmap(one)(columns)
+
+    expected = [rollout(pick(batch, i), dt=DT, n_steps=30).x for i in range(5)]
+    np.testing.assert_allclose(mine(batch), expected, rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("contact", CHOICES["contact"])
+@pytest.mark.parametrize("law", CHOICES["law"])
+def test_gradients_are_finite_across_every_switch(law, contact):
+    """Through an approach with contact, v = 0 and both branches; and starting exactly on them."""
+    model = Model(law=law, contact=contact)
+    starts = [
+        APPROACH,
+        Params(),  # at rest on the surface: e v = 0, x = gap
+        Params(x_init=0.0, xd=0.05, Td=5.0),  # |e| = x0 at once
+        Params(xd=0.06, Td=5.0),  # |e| = xb
+        Params(xd=-0.05, Td=5.0),  # e = 0
+    ]
+    for p in starts:
+        gradient = jax.grad(lambda p: evaluate(p, model=model, dt=DT, n_steps=150).nmse)(p)
+        for name, value in vars(gradient).items():
+            assert np.isfinite(value), (name, p)
+
+
+def test_profile_gradients_are_finite_at_the_edges():
+    p = Params()
+    for e in (0.0, 0.1, -0.1, 0.11, -0.11, 1e30):
+        for f in (force, energy):
+            gradient = jax.grad(lambda e, p, f=f: f(e, p), argnums=(0, 1))(e, p)
+            assert all(np.isfinite(leaf) for leaf in jax.tree.leaves(gradient))
+
+
+@pytest.mark.parametrize("name", ["K0", "I", "Kenv", "Denv", "Fmax", "sigma", "Td"])
+def test_derivative_forward_reverse_and_central_difference_agree(name):
+    """Away from switches: welded, from rest, before the first v = 0."""
+
+    def loss(value):
+        p = Params(**{"Td": 6.0, "xd": 0.0, name: value})
+        return evaluate(p, model=Model(contact="welded"), dt=DT, n_steps=40).nmse
+
+    value = float(getattr(Params(), name))
+    forward, reverse = jax.jvp(loss, (value,), (1.0,))[1], jax.grad(loss)(value)
+    h = 1e-6 * max(value, 1e-2)
+    central = (loss(value + h) - loss(value - h)) / (2 * h)
+    # central differences of a smooth float64 function are good to about (1e-16/h)^(2/3)
+    # below 1e-14 stands a zero: in the linear zone nmse does not depend on Td
+    np.testing.assert_allclose(forward, reverse, rtol=1e-10, atol=1e-14)
+    np.testing.assert_allclose(forward, central, rtol=1e-5, atol=1e-9)
+
+
+def test_dtype_follows_the_parameters():
+    single = jax.tree.map(lambda v: np.float32(v), APPROACH)
+    assert evaluate(single, dt=DT, n_steps=5).nmse.dtype == np.float32
+    assert evaluate(APPROACH, dt=DT, n_steps=5).nmse.dtype == np.float64
+    assert fic_jax.sweep(random_batch(3, dtype=np.float32), dt=DT, n_steps=5).nmse.dtype == "f4"
+    assert fic_jax.sweep(Params(K0=[100, 200]), dt=DT, n_steps=5).nmse.shape == (2,)
+
+
+def test_control_is_the_controller_of_step():
+    """On the same plant `control` gives what `step` does: decisions bit for bit."""
+    p, model = APPROACH, Model()
+    state = init(p, model)
+    memory, states = state.memory, []
+    for _ in range(200):
+        tau, memory = control(p, memory, state.x, state.v, state.measured, model=model, dt=DT)
+        assert abs(float(tau)) <= p.Fmax
+        state, sample = public_step(p, state, model=model, dt=DT)
+        states.append((memory, state.memory))
+        np.testing.assert_array_equal(memory.x_h, sample.x_h)
+        np.testing.assert_array_equal(memory.e_M, sample.e_M)
+
+
+def test_time_is_a_multiple_not_a_sum():
+    t = np.asarray(rollout(jax.tree.map(np.float32, APPROACH), dt=DT, n_steps=1000).t)
+    np.testing.assert_array_equal(t, np.arange(1, 1001, dtype=np.float32) * np.float32(DT))
+
+
+def test_diverged_scenario_is_told_and_leaves_its_neighbours_alone():
+    """A weld so stiff that dt can't resolve it: RK4 blows up and `finite` says so."""
+    batch, model = Params(Kenv=np.array([100.0, 1e9, 500.0])), Model(contact="welded")
+    metrics = fic_jax.sweep(batch, model=model, dt=DT, n_steps=200)
+    np.testing.assert_array_equal(metrics.finite, [True, False, True])
+    alone = fic_jax.sweep(pick(batch, slice(0, 1)), model=model, dt=DT, n_steps=200)
+    assert_same(alone, jax.tree.map(lambda a: a[:1], metrics))
+
+
+@pytest.mark.parametrize(
+    ("bad", "message"),
+    [
+        ({"I": [1.0, -1.0]}, "`I` must be positive and finite, but is -1"),
+        ({"xb": 0.05}, "`xb` must be greater than x0 = 0.1, but is 0.05"),
+        ({"Td": 0.0}, "`Td` must be non-zero"),
+        ({"K0": np.nan}, "`K0` must be positive and finite, but is nan"),
+        ({"period": 0.015}, r"`period` must be a whole multiple of dt = 0.01 s \(nearest: 0.02\)"),
+    ],
+)
+def test_sweep_refuses_what_no_scenario_may_have(bad, message):
+    columns = {name: np.asarray(value, float) for name, value in bad.items()}
+    with pytest.raises(ParamsError, match=message):
+        fic_jax.sweep(Params(**columns), dt=DT, n_steps=5)
+
+
+def test_model_refuses_an_unknown_choice():
+    with pytest.raises(ParamsError, match="`law` must be one of algorithm1, effort, energy"):
+        Model(law="algorithm2")
+    assert hash(Model()) == hash(Model(law="algorithm1"))
