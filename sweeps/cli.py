@@ -103,8 +103,7 @@ def resume(path: Where) -> None:
     from sweeps import runner
     from sweeps.store import open_store
 
-    dtype = str(open_store(path, "r").group.attrs["dtype"])
-    precision = int(dtype.removeprefix("float"))
+    precision = int(open_store(path, "r").dtype.removeprefix("float"))
     runner.configure(precision)
     _carry_out(runner.reopen(path, precision))
 
@@ -235,7 +234,7 @@ def _dry_run(sweep: "Sweep", chunk: int | None, precision: int) -> None:
 
     for line in _plan_lines(sweep, chunk, f"float{precision}"):
         print(line)
-    compiling, rate = measure(Grid(sweep, chunk))
+    compiling, rate = measure(Grid(sweep, chunk), f"float{precision}")
     models = 1
     for choice in sweep.model.values():
         models *= len(choice) if isinstance(choice, list) else 1

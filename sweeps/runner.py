@@ -9,8 +9,8 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from fic_jax import Params, sweep, tune_for_throughput
-from sweeps.grid import Grid
+from fic_jax import Metrics, Params, sweep, tune_for_throughput
+from sweeps.grid import Block, Grid
 from sweeps.provenance import IDENTITY, provenance
 from sweeps.spec import Sweep, SweepError
 from sweeps.store import Store, create, open_store
@@ -68,12 +68,7 @@ def run(store: Store, tell: Tell) -> Progress:
     progress = Progress(grid.cells, grid.cells - todo, 0, 0, 0.0)
     tell(progress)
     for block in pending:
-        metrics = sweep(
-            grid.params(block),
-            model=grid.model(block),
-            dt=grid.sweep.time.dt,
-            n_steps=grid.sweep.n_steps,
-        )
+        metrics = _compute(grid, block, store.dtype)
         diverged = progress.diverged + store.write(block, metrics)
         ran = progress.ran + _cells(block)
         seconds = time.perf_counter() - began
@@ -84,16 +79,22 @@ def run(store: Store, tell: Tell) -> Progress:
     return progress
 
 
-def measure(grid: Grid) -> tuple[float, float]:
+def _compute(grid: Grid, block: Block, dtype: str, n: int | None = None) -> Metrics:
+    """Metrics of a block, or of its first `n` scenarios, in the precision of the store."""
+    params = {name: np.asarray(v, dtype) for name, v in vars(grid.params(block)).items()}
+    batch = Params(**{name: v[:n] if v.ndim else v for name, v in params.items()})
+    plan = grid.sweep
+    return sweep(batch, model=grid.model(block), dt=plan.time.dt, n_steps=plan.n_steps)
+
+
+def measure(grid: Grid, dtype: str) -> tuple[float, float]:
     """Seconds before the first result, and scenarios a second, from a short run of the plan."""
     block = next(grid.blocks())
     n = max(1, min(_cells(block), MEASURED_STEPS // grid.sweep.n_steps))
-    whole = vars(grid.params(block)).items()
-    batch = Params(**{name: v[:n] if np.ndim(v) else v for name, v in whole})
     seconds = []
     for _ in range(2):
         began = time.perf_counter()
-        sweep(batch, model=grid.model(block), dt=grid.sweep.time.dt, n_steps=grid.sweep.n_steps)
+        _compute(grid, block, dtype, n)
         seconds.append(time.perf_counter() - began)
     return max(seconds[0] - seconds[1], 0.0), n / seconds[1]
 
@@ -131,7 +132,7 @@ def _fastest_rate(p: Params) -> float:
     return float(np.max(np.abs((D + root) / (2.0 * inertia))))
 
 
-def _cells(block: tuple[slice, ...]) -> int:
+def _cells(block: Block) -> int:
     return int(np.prod([part.stop - part.start for part in block], dtype=np.int64))
 
 

@@ -4,7 +4,6 @@ Block = chunk = unit of commit. A block's metrics are written first and its `sta
 file by a rename, so that a block counts as done when, and only when, its status says so.
 """
 
-import json
 import os
 import shutil
 import warnings
@@ -34,6 +33,11 @@ class Store:
     path: Path
     grid: Grid
     group: zarr.Group
+
+    @property
+    def dtype(self) -> str:
+        """Precision of the metrics, `float32` or `float64`."""
+        return str(self.group.attrs["dtype"])
 
     def pending(self) -> list[Block]:
         """Blocks that are not done, in storage order."""
@@ -209,9 +213,3 @@ def dataset(path: Path) -> xr.Dataset:
     if not (path / "zarr.json").is_file():
         raise SweepError(f"{path}: is no result store (no zarr.json in it)")
     return xr.open_zarr(path, chunks=None)
-
-
-def sweep_record(data: xr.Dataset) -> dict[str, Any]:
-    """The sweep file a store was made from, as a plain record."""
-    record: dict[str, Any] = json.loads(data.attrs["sweep"])
-    return record

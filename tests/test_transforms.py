@@ -174,7 +174,7 @@ def test_derivative_forward_reverse_and_central_difference_agree(name):
 
 
 def test_dtype_follows_the_parameters():
-    single = jax.tree.map(lambda v: np.float32(v), APPROACH)
+    single = jax.tree.map(np.float32, APPROACH)
     assert evaluate(single, dt=DT, n_steps=5).nmse.dtype == np.float32
     assert evaluate(APPROACH, dt=DT, n_steps=5).nmse.dtype == np.float64
     assert fic_jax.sweep(random_batch(3, dtype=np.float32), dt=DT, n_steps=5).nmse.dtype == "f4"

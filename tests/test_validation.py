@@ -13,6 +13,7 @@ from sweeps.spec import SweepError
 from sweeps.validation import load, parse
 
 GOOD = 'name = "a"\n[axes]\nK0 = { log = [1.0, 1000.0], n = 4 }\n'
+SAMPLE = 'name = "a"\n[sample]\nn = 9\n'
 
 WRONG = {
     "foo = 1\n" + GOOD: "unknown key `foo`; known are name, description",
@@ -55,8 +56,8 @@ WRONG = {
     GOOD + "[model]\nlaw = 3": "`model.law` must be a text in quotes, but is 3.",
     GOOD + '[model]\nintegrator = "rk45"': "`model.integrator` must be one of rk4",
     GOOD + "[sample]\nn = 10\nranges = { Td = { lin = [1, 2] } }": "instead of `axes`",
-    'name = "a"\n[sample]\nn = 9\nranges = { period = { lin = [1, 2] } }': "must be an axis or a case",
-    'name = "a"\n[sample]\nn = 9\nmethod = "sobl"\nranges = { Td = { lin = [1, 2] } }': "'sobol', 'lhs'",
+    SAMPLE + "ranges = { period = { lin = [1, 2] } }": "must be an axis or a case",
+    SAMPLE + 'method = "sobl"\nranges = { Td = { lin = [1, 2] } }': "'sobol', 'lhs' or 'random'",
     'name = "a"': "`axes` must name at least one quantity to sweep, but is empty.",
     'name = "a/b"\n[axes]\nK0 = [1.0]': "`name` must be letters, digits",
     "[axes]\nK0 = [1.0]": "`name` must be given, but is missing.",

@@ -1,0 +1,227 @@
+"""The store: what xarray reads, the same bits whatever the chunking, and what it refuses."""
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import fic_jax
+from sweeps import runner, store
+from sweeps.spec import SweepError
+from sweeps.validation import parse
+
+TEXT = """
+name = "tiny"
+description = "two contacts, two axes, two cases"
+[time]
+t_end = 0.5
+[model]
+contact = ["welded", "hard_stop"]
+[axes]
+K0 = { log = [1.0, 300.0], n = 5 }
+Td = [1.0, 5.0, 20.0]
+[cases]
+Denv = [0.0, 63.2]
+gap = [0.0, 0.1]
+"""
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return parse(TEXT, "tiny.toml")
+
+
+def quiet(progress):
+    pass
+
+
+def complete(path, plan, chunk=None, precision=32):
+    made = runner.start(path, plan, chunk, precision)
+    runner.run(made, quiet)
+    return made
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory, plan):
+    path = tmp_path_factory.mktemp("store") / "tiny.zarr"
+    complete(path, plan)
+    return path
+
+
+def bits(path):
+    """Every variable's bytes, read by xarray alone."""
+    with xr.open_zarr(path, chunks=None) as data:
+        return {name: (v.dims, v.dtype, v.values.tobytes()) for name, v in data.variables.items()}
+
+
+def test_xarray_opens_it_without_our_code_and_without_a_warning(whole, plan):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        data = xr.open_zarr(whole)
+    assert data["nmse"].dims == ("contact", "K0", "Td", "case")
+    assert data.sizes == {"contact": 2, "K0": 5, "Td": 3, "case": 2}
+    assert set(data.data_vars) == {*plan.metrics, "status"}
+    assert data["K0"].attrs["units"] == "N*m/rad"
+    assert data["convergence_time"].attrs == {
+        "units": "s",
+        "long_name": fic_jax.METRICS["convergence_time"]["meaning"],
+    }
+    np.testing.assert_array_equal(data["contact"], ["welded", "hard_stop"])
+    np.testing.assert_array_equal(data["Denv"], [0.0, 63.2])  # a coordinate along `case`
+    assert data["Denv"].dims == ("case",)
+    assert (data["status"] == store.OK).all()
+    for key in ("program", "revision", "jax", "device", "dtype", "start", "end", "sweep"):
+        assert data.attrs[key], key
+    assert json.loads(data.attrs["sweep"])["axes"]["Td"] == [1.0, 5.0, 20.0]
+
+
+def test_a_cell_is_its_scenario(whole):
+    """The value at a labelled place is what `sweep` gives for that scenario, bit for bit."""
+    data = xr.open_zarr(whole).sel(contact="hard_stop", Td=5.0).isel(K0=2, case=1)
+    p = fic_jax.Params(
+        K0=np.float32(data.K0), Td=np.float32(5.0), Denv=np.float32(63.2), gap=np.float32(0.1)
+    )
+    metrics = fic_jax.sweep(p, dt=0.01, n_steps=50)
+    for name in ("nmse", "convergence_time", "peak_torque", "energy_in"):
+        assert data[name].values == getattr(metrics, name)[0]
+
+
+@pytest.mark.parametrize("chunk", [1, 7, 10])
+def test_any_chunk_size_gives_the_same_store(tmp_path, plan, whole, chunk):
+    complete(tmp_path / "other.zarr", plan, chunk)
+    assert bits(tmp_path / "other.zarr") == bits(whole)
+
+
+def test_precision_is_the_stores(tmp_path, plan, whole):
+    complete(tmp_path / "double.zarr", plan, precision=64)
+    single, double = xr.open_zarr(whole), xr.open_zarr(tmp_path / "double.zarr")
+    assert (single["nmse"].dtype, double["nmse"].dtype) == (np.float32, np.float64)
+    # float32 carries seven digits; half a second of motion loses two or three of them
+    np.testing.assert_allclose(single["nmse"], double["nmse"], rtol=1e-3)
+
+
+def test_interrupted_run_keeps_finished_blocks_and_resume_does_the_rest(tmp_path, plan, whole):
+    path = tmp_path / "halted.zarr"
+    made = runner.start(path, plan, 7, 32)
+
+    def stop(progress):
+        if progress.done >= 30:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        runner.run(made, stop)
+    half = xr.open_zarr(path, chunks=None)
+    done = half["status"].values == store.OK
+    assert 30 <= done.sum() < 60
+    assert np.isfinite(half["nmse"].values[done]).all()
+    assert np.isnan(half["nmse"].values[~done]).all()  # fill values elsewhere
+    ran = runner.run(runner.reopen(path, 32), quiet).ran
+    assert ran == 60 - done.sum()
+    assert bits(path) == bits(whole)
+    assert runner.run(runner.reopen(path, 32), quiet).ran == 0
+
+
+def test_resume_refuses_another_program(tmp_path, plan):
+    path = tmp_path / "old.zarr"
+    runner.start(path, plan, 7, 32).note(program="0123456789abcdef")
+    with pytest.raises(
+        SweepError, match=r"begun by another program \(program was 0123456789abcdef"
+    ):
+        runner.reopen(path, 32)
+
+
+def test_resume_refuses_another_precision(tmp_path, plan):
+    path = tmp_path / "single.zarr"
+    runner.start(path, plan, 7, 32)
+    with pytest.raises(SweepError, match="dtype was float32, is float64"):
+        runner.reopen(path, 64)
+
+
+def test_a_changed_sweep_record_is_refused(tmp_path, plan):
+    path = tmp_path / "changed.zarr"
+    made = runner.start(path, plan, 7, 32)
+    made.note(sweep=plan.record().replace("300.0", "200.0"))
+    with pytest.raises(SweepError, match="sweep record differs"):
+        store.open_store(path)
+
+
+@pytest.mark.parametrize("what", ["nothing", "file", "folder", "foreign"])
+def test_what_is_no_store_is_refused(tmp_path, what):
+    path = tmp_path / "x.zarr"
+    if what == "file":
+        path.write_text("hello")
+    elif what == "folder":
+        path.mkdir()
+    elif what == "foreign":
+        xr.Dataset({"a": ("x", [1.0])}).to_zarr(path, consolidated=False)
+    with pytest.raises(SweepError, match="is no result store") as caught:
+        store.open_store(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_existing_path_is_never_touched(tmp_path, plan):
+    path = tmp_path / "kept.zarr"
+    path.mkdir()
+    (path / "mine.txt").write_text("precious")
+    with pytest.raises(SweepError, match="exists already"):
+        runner.start(path, plan, None, 32)
+    assert [p.name for p in tmp_path.rglob("*")] == ["kept.zarr", "mine.txt"]
+
+
+def test_an_unwritable_path_leaves_nothing(tmp_path, plan):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SweepError, match="can't be written: "):
+        runner.start(tmp_path / "file" / "a.zarr", plan, None, 32)
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_disk_too_small_is_refused(tmp_path):
+    axes = "".join(f"{name} = {{ lin = [1, 9], n = 1000 }}\n" for name in ("K0", "Kenv", "Td"))
+    huge = parse('name = "huge"\n[axes]\n' + axes + "I = { lin = [1, 9], n = 1000000 }", "f")
+    with pytest.raises(
+        SweepError, match=r"needs up to 4.1e\+07 GB for 1,000,000,000,000,000 cells"
+    ):
+        runner.start(tmp_path / "huge.zarr", huge, None, 32)
+    assert not list(tmp_path.iterdir())
+
+
+def test_diverged_cells_are_a_status_and_keep_no_numbers(tmp_path):
+    wild = parse(
+        'name = "wild"\n[time]\nt_end = 2.0\n[model]\ncontact = "welded"\n'
+        "[axes]\nKenv = [100.0, 1e9]",
+        "f",
+    )
+    made = complete(tmp_path / "wild.zarr", wild)
+    data = xr.open_zarr(tmp_path / "wild.zarr")
+    np.testing.assert_array_equal(data["status"], [store.OK, store.DIVERGED])
+    assert np.isnan(data["nmse"][1])
+    assert np.isnan(data["convergence_time"][1])
+    assert made.counts() == {"not run": 0, "ok": 1, "diverged": 1, "failed": 0}
+
+
+def test_a_flipped_bit_is_noticed(tmp_path, plan):
+    """The checksum of the codec: damaged numbers raise instead of being read."""
+    complete(tmp_path / "a.zarr", plan)
+    chunk = next(p for p in sorted((tmp_path / "a.zarr" / "nmse" / "c").rglob("*")) if p.is_file())
+    damaged = bytearray(chunk.read_bytes())
+    damaged[len(damaged) // 2] ^= 1
+    chunk.write_bytes(damaged)
+    with pytest.raises(Exception, match="checksum"):
+        xr.open_zarr(tmp_path / "a.zarr", chunks=None)["nmse"].load()
+
+
+def test_a_sample_keeps_each_scenarios_values(tmp_path):
+    text = (
+        'name = "drawn"\nmetrics = ["nmse", "peak_torque"]\n[time]\nt_end = 0.1\n'
+        '[sample]\nn = 50\nmethod = "lhs"\nranges = { Td = { lin = [1.0, 5.0] } }'
+    )
+    complete(tmp_path / "drawn.zarr", parse(text, "f"), chunk=16)
+    data = xr.open_zarr(tmp_path / "drawn.zarr")
+    assert set(data.data_vars) == {"nmse", "peak_torque", "status"}
+    assert data["Td"].dims == ("scenario",)
+    metrics = fic_jax.sweep(
+        fic_jax.Params(Td=data["Td"].values.astype(np.float32)), dt=0.01, n_steps=10
+    )
+    np.testing.assert_array_equal(data["nmse"], metrics.nmse)
