@@ -14,7 +14,9 @@ sweep: $(VENV)/installed
 	  if [ -e results/$$name.zarr ]; then $(BIN)/fic-sweep resume results/$$name.zarr; \
 	  else $(BIN)/fic-sweep run $$name --out results/$$name.zarr; fi || exit $$?; \
 	done
+	@echo "drawing ..."
 	@$(BIN)/python -m figures.overview results
+	@ls results/*.png
 
 test: lint
 	$(BIN)/pytest -n 2
@@ -24,7 +26,8 @@ lint: $(VENV)/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-picture: sweep
+picture:
+	@[ -e results/atlas-small.zarr ] || $(MAKE) sweep
 	$(BIN)/python -m figures.overview results --readme docs/overview.png
 
 $(VENV)/installed: pyproject.toml constraints.txt

@@ -318,8 +318,10 @@ def _told(progress: "Progress") -> str:
 def _duration(seconds: float) -> str:
     if seconds < 100:
         return f"{seconds:.1f} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60} min"
+    minutes = seconds / 60
+    if minutes < 100:
+        return f"{minutes:.1f} min"
+    return f"{minutes // 60:.0f} h {minutes % 60:.0f} min"
 
 
 def _bytes(n: float) -> str:

@@ -4,7 +4,6 @@ import warnings
 from functools import lru_cache
 
 import numpy as np
-from scipy.stats import qmc
 
 from sweeps.spec import Sample
 
@@ -18,6 +17,8 @@ def draw(sample: Sample, start: int, stop: int) -> dict[str, np.ndarray]:
 
 def _sobol(sample: Sample, start: int, stop: int) -> np.ndarray:
     """Scrambled Sobol points; balanced over a power of two, of which any stretch is drawn alone."""
+    from scipy.stats import qmc  # a second to import, and few sweeps draw Sobol points
+
     engine = qmc.Sobol(len(sample.ranges), scramble=True, rng=sample.seed, bits=32)
     if start:  # scipy overflows on a forward of nothing
         engine.fast_forward(start)

@@ -10,16 +10,18 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 import zarr
 from zarr.codecs import BloscCodec, Crc32cCodec
 
 from fic_jax import METRICS, QUANTITIES, Metrics
 from sweeps.grid import Block, Grid
 from sweeps.spec import Sweep, SweepError
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 NOT_RUN, OK, DIVERGED, FAILED = range(4)
 STATUS = {"not run": NOT_RUN, "ok": OK, "diverged": DIVERGED, "failed": FAILED}
@@ -208,8 +210,10 @@ def _consolidate(path: Path) -> None:
         zarr.consolidate_metadata(path)
 
 
-def dataset(path: Path) -> xr.Dataset:
-    """The store as a lazy Dataset."""
+def dataset(path: Path) -> "xr.Dataset":
+    """The store as a lazy Dataset. Raises SweepError if it is none."""
+    import xarray as xr  # half a second with pandas, and a run needs neither
+
     if not (path / "zarr.json").is_file():
         raise SweepError(f"{path}: is no result store (no zarr.json in it)")
     return xr.open_zarr(path, chunks=None)
