@@ -60,13 +60,13 @@ def sweep(batch: Params, *, model: Model = Model(), dt: float, n_steps: int) -> 
     All local devices share the work. The result of a scenario does not depend on N, on its
     neighbours or on the number of devices, bit for bit. The dtype follows the leaves.
 
-    Raises ParamsError if a value is out of bounds, ValueError if the leaves' shapes differ.
+    Raises ParamsError if a value is out of bounds or the leaves' shapes differ.
     """
     check(batch, dt)
     if n_steps < 1:
         raise ParamsError("n_steps", n_steps, "at least 1")
     leaves = [np.asarray(getattr(batch, name)) for name in QUANTITIES]
-    (n,) = np.broadcast_shapes((1,), *(leaf.shape for leaf in leaves))
+    n = _length(leaves)
     dtype = np.dtype(jnp.result_type(float, *jax.tree.leaves(batch)))
     devices = tuple(jax.local_devices())
     capacity = len(devices) * BLOCKS * LANES
@@ -78,6 +78,14 @@ def sweep(batch: Params, *, model: Model = Model(), dt: float, n_steps: int) -> 
         metrics = program(jax.device_put(columns, sharding), np.asarray(dt, dtype), blocks)
         _unpack(metrics, out, part, blocks)
     return out
+
+
+def _length(leaves: list[np.ndarray]) -> int:
+    lengths = {leaf.shape for leaf in leaves if leaf.shape not in ((), (1,))} or {(1,)}
+    if len(lengths) > 1 or len(min(lengths)) > 1:
+        shapes = {k: leaf.shape for k, leaf in zip(QUANTITIES, leaves, strict=True) if leaf.ndim}
+        raise ParamsError("batch", shapes, "scalars and [N] arrays of one length")
+    return min(lengths)[0]
 
 
 def _result_types(dtype: np.dtype) -> dict[str, np.dtype]:

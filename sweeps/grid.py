@@ -105,7 +105,7 @@ class Grid:
         sweep = self.sweep
         start, stop, _ = part.indices(self.dims[dim])
         if dim in sweep.axes:
-            return {dim: sweep.axis_values(dim)[start:stop]}
+            return {dim: sweep.axis_values(dim, part)}
         if dim == "case":
             columns = {name: np.array(column)[start:stop] for name, column in sweep.cases.items()}
             return {"case": np.arange(start, stop)} | columns

@@ -73,8 +73,10 @@ class Spacing(Span):
 
     n: Count
 
-    def values(self) -> np.ndarray:
-        return self.at(np.linspace(0.0, 1.0, self.n))
+    def values(self, part: slice = slice(None)) -> np.ndarray:
+        """The values at the indices `part`, the same whatever else is asked for."""
+        start, stop, _ = part.indices(self.n)
+        return self.at(np.arange(start, stop) / (self.n - 1))
 
 
 Values = Annotated[list[Number], Field(min_length=1, max_length=MAX_AXIS)]
@@ -123,9 +125,10 @@ class Sweep(Record):
     def n_steps(self) -> int:
         return round(self.time.t_end / self.time.dt)
 
-    def axis_values(self, name: str) -> np.ndarray:
+    def axis_values(self, name: str, part: slice = slice(None)) -> np.ndarray:
+        """Values of an axis at the indices `part`."""
         axis = self.axes[name]
-        return axis.values() if isinstance(axis, Spacing) else np.array(axis)
+        return axis.values(part) if isinstance(axis, Spacing) else np.array(axis[part])
 
     def record(self) -> str:
         """The sweep as JSON: what a store keeps, and what two sweeps are compared by."""
