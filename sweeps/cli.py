@@ -66,11 +66,13 @@ def list_() -> None:
 @app.command()
 def show(what: What, set_: Set = None) -> None:
     """Print a sweep file and what it comes to."""
+    from sweeps.grid import Grid
+    from sweeps.messages import plan_lines
+
     sweep = _load(what, set_)
-    path = _find(what)
-    print(path.read_text(encoding="utf-8").rstrip())
+    print(_find(what).read_text(encoding="utf-8").rstrip())
     print()
-    for line in _plan_lines(sweep, None, "float32"):
+    for line in plan_lines(Grid(sweep), "float32"):
         print(f"# {line}")
     _warn(sweep)
 
@@ -91,7 +93,7 @@ def run(
     runner.configure(int(precision))
     _warn(sweep)
     if dry_run:
-        _dry_run(sweep, chunk, int(precision))
+        _dry_run(sweep, chunk, f"float{precision}")
         return
     store = runner.start(out or Path(f"{sweep.name}.zarr"), sweep, chunk, int(precision))
     _carry_out(store)
@@ -111,19 +113,11 @@ def resume(path: Where) -> None:
 @app.command()
 def status(path: Where) -> None:
     """Tell how far a store is and what made it."""
+    from sweeps.messages import status_lines
     from sweeps.store import open_store
 
-    store = open_store(path, "r")
-    counts, attrs = store.counts(), store.group.attrs.asdict()
-    done = store.grid.cells - counts["not run"]
-    print(f"{path}: {store.grid.sweep.name}, {_dims(store.grid.dims)}")
-    print(f"done      {done:,} of {store.grid.cells:,} cells ({_percent(done, store.grid.cells)})")
-    for name, count in counts.items():
-        print(f"  {name:8}{count:>14,}")
-    print(f"blocks    {len(store.pending()):,} of {store.grid.n_blocks:,} to do")
-    print(f"began     {attrs['start']}, ended {attrs.get('end', 'not yet')}")
-    print(f"made by   fic_jax {attrs['fic_jax']} ({attrs['revision']}), jax {attrs['jax']}")
-    print(f"on        {attrs['device']}, {attrs['dtype']}")
+    for line in status_lines(open_store(path, "r")):
+        print(line)
 
 
 @app.command()
@@ -215,39 +209,21 @@ def _warn(sweep: "Sweep") -> None:
         print(f"fic-sweep: warning: {sweep.name}: {line}", file=sys.stderr)
 
 
-def _plan_lines(sweep: "Sweep", chunk: int | None, dtype: str) -> list[str]:
+def _dry_run(sweep: "Sweep", chunk: int | None, dtype: str) -> None:
     from sweeps.grid import Grid
-    from sweeps.store import size
-
-    grid = Grid(sweep, chunk)
-    shape = " x ".join(str(n) for n in grid.block_shape)
-    return [
-        f"{_dims(grid.dims)} = {grid.cells:,} scenarios of {sweep.n_steps:,} steps",
-        f"{grid.n_blocks:,} blocks of up to {shape}",
-        f"{_bytes(size(grid, dtype))} on disk before compression",
-    ]
-
-
-def _dry_run(sweep: "Sweep", chunk: int | None, precision: int) -> None:
-    from sweeps.grid import Grid
+    from sweeps.messages import expectation, plan_lines
     from sweeps.runner import measure
 
-    for line in _plan_lines(sweep, chunk, f"float{precision}"):
+    grid = Grid(sweep, chunk)
+    for line in plan_lines(grid, dtype):
         print(line)
-    compiling, rate = measure(Grid(sweep, chunk), f"float{precision}")
-    models = 1
-    for choice in sweep.model.values():
-        models *= len(choice) if isinstance(choice, list) else 1
-    seconds = models * compiling + Grid(sweep, chunk).cells / rate
-    print(
-        f"about {_duration(seconds)} at {rate:,.0f} scenarios/s "
-        f"({rate * sweep.n_steps / 1e6:,.0f} M steps/s) on this machine, measured just now"
-    )
+    print(expectation(grid, *measure(grid, dtype)))
 
 
 def _carry_out(store: "Store") -> None:
     """Run a store to its end, with progress; whatever happens, finished blocks stay."""
     from sweeps import runner
+    from sweeps.messages import interruption, summary
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends like Ctrl-C
     try:
@@ -256,23 +232,9 @@ def _carry_out(store: "Store") -> None:
         else:
             result = runner.run(store, _plain_lines())
     except (KeyboardInterrupt, OSError) as error:
-        todo = len(store.pending())
-        why = "interrupted" if isinstance(error, KeyboardInterrupt) else f"failed: {error}"
-        print(
-            f"fic-sweep: {why}; {store.grid.n_blocks - todo} of {store.grid.n_blocks} blocks are "
-            f"kept, `fic-sweep resume {store.path}` does the rest",
-            file=sys.stderr,
-        )
+        print(f"fic-sweep: {interruption(store, error)}", file=sys.stderr)
         raise typer.Exit(1) from None
-    if not result.ran:
-        print(f"{store.path}: complete already, {result.cells:,} scenarios")
-        return
-    rate = result.ran / result.seconds
-    diverged = f", {result.diverged:,} diverged" if result.diverged else ""
-    print(
-        f"{store.path}: {result.ran:,} scenarios in {_duration(result.seconds)}, "
-        f"{rate:,.0f}/s ({rate * store.grid.sweep.n_steps / 1e6:,.0f} M steps/s){diverged}"
-    )
+    print(summary(store, result))
 
 
 def _with_bar(store: "Store") -> "Progress":
@@ -280,64 +242,31 @@ def _with_bar(store: "Store") -> "Progress":
     from rich.progress import Progress as Bar
 
     from sweeps import runner
+    from sweeps.messages import progress_line
 
     text = TextColumn("{task.percentage:>3.0f} % {task.fields[told]}")
     with Bar(TextColumn(store.grid.sweep.name), BarColumn(), text) as bar:
         task = bar.add_task("", total=store.grid.cells, told="compiling")
 
         def tell(progress: "Progress") -> None:
-            bar.update(task, completed=progress.done, told=_told(progress))
+            bar.update(task, completed=progress.done, told=progress_line(progress))
 
         return runner.run(store, tell)
 
 
 def _plain_lines(every: float = 10.0) -> "Tell":
     """One line now and then, for logs."""
+    from sweeps.messages import log_line
+
     last = time.monotonic()
 
     def tell(progress: "Progress") -> None:
         nonlocal last
         if progress.ran and time.monotonic() - last >= every:
             last = time.monotonic()
-            share = _percent(progress.done, progress.cells)
-            print(
-                f"{progress.done:,} of {progress.cells:,} ({share}) {_told(progress)}", flush=True
-            )
+            print(log_line(progress), flush=True)
 
     return tell
-
-
-def _told(progress: "Progress") -> str:
-    if not progress.ran:
-        return "compiling"
-    rate = progress.ran / progress.seconds
-    left = (progress.cells - progress.done) / rate
-    return f"{rate:,.0f} scenarios/s, {_duration(left)} left"
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 100:
-        return f"{seconds:.1f} s"
-    minutes = seconds / 60
-    if minutes < 100:
-        return f"{minutes:.1f} min"
-    return f"{minutes // 60:.0f} h {minutes % 60:.0f} min"
-
-
-def _bytes(n: float) -> str:
-    for unit in ("B", "kB", "MB", "GB"):
-        if n < 1000:
-            return f"{n:.3g} {unit}"
-        n /= 1000
-    return f"{n:.3g} TB"
-
-
-def _percent(part: int, whole: int) -> str:
-    return f"{100 * part / whole:.4g} %"
-
-
-def _dims(dims: dict[str, int]) -> str:
-    return " x ".join(f"{name} {n}" for name, n in dims.items())
 
 
 def _pair(text: str, option: str) -> tuple[str, Any]:
