@@ -1,12 +1,13 @@
 # make sweep   run the paper sweeps and the small atlas; stores and pictures under results/
 # make test    lint, types and all tests
-# make picture remake the README's picture; make clean removes environment and results
+# make picture remake the README's picture
+# make clean   remove the results, as after a change of the program; make distclean the environment too
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 SWEEPS := paper-welded paper-contact period-map atlas-small
 
-.PHONY: sweep test lint picture clean
+.PHONY: sweep test lint picture clean distclean
 
 sweep: $(VENV)/installed
 	@mkdir -p results
@@ -32,9 +33,15 @@ picture:
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "fic_jax needs Python 3.11 or newer; make PYTHON=...")'
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test,export]'
+	@echo "installing into $(VENV), a minute or two ..."
+	@$(PYTHON) -m venv $(VENV)
+	@# compat: a path entry, so that a folder named fic_jax around it can't shadow the package
+	@$(BIN)/pip install --quiet --disable-pip-version-check --config-settings editable_mode=compat \
+	  -c constraints.txt -e '.[test,export]'
 	@touch $@
 
 clean:
-	rm -rf $(VENV) results
+	rm -rf results
+
+distclean: clean
+	rm -rf $(VENV)

@@ -62,12 +62,11 @@ def sweep(batch: Params, *, model: Model = Model(), dt: float, n_steps: int) -> 
 
     Raises ParamsError if a value is out of bounds or the leaves' shapes differ.
     """
-    check(batch, dt)
-    if n_steps < 1:
-        raise ParamsError("n_steps", n_steps, "at least 1")
-    leaves = [np.asarray(getattr(batch, name)) for name in QUANTITIES]
-    n = _length(leaves)
     dtype = np.dtype(jnp.result_type(float, *jax.tree.leaves(batch)))
+    with np.errstate(over="ignore", under="ignore"):  # checked as the inf or zero it becomes
+        leaves = [np.asarray(getattr(batch, name), dtype) for name in QUANTITIES]
+    n = _length(leaves)
+    check(Params(*leaves), dt, n_steps)
     devices = tuple(jax.local_devices())
     capacity = len(devices) * BLOCKS * LANES
     out = Metrics(**{name: np.empty(n, t) for name, t in _result_types(dtype).items()})
@@ -88,6 +87,7 @@ def _length(leaves: list[np.ndarray]) -> int:
     return min(lengths)[0]
 
 
+@lru_cache
 def _result_types(dtype: np.dtype) -> dict[str, np.dtype]:
     example = Params(**{name: jax.ShapeDtypeStruct((), dtype) for name in QUANTITIES})
     shapes = jax.eval_shape(lambda p: evaluate(p, dt=0.01, n_steps=1), example)

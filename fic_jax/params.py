@@ -1,7 +1,6 @@
 """What a scenario is made of: `Params`, numbers in a pytree, and `Model`, static choices."""
 
 import dataclasses
-import difflib
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias, get_args
 
@@ -114,19 +113,19 @@ def canonical(params: Params) -> Params:
     or Python floats); integers count as floats.
     """
     dtype = jnp.result_type(float, *jax.tree.leaves(params))
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), params)
+    return jax.tree.map(lambda leaf: strong(leaf, dtype), params)
+
+
+def strong(leaf: Scalar, dtype: Any) -> Scalar:
+    """A leaf as a strongly typed array: floats, NumPy and JAX scalars then share a compilation."""
+    if isinstance(leaf, jax.Array):
+        return jnp.asarray(leaf, dtype)
+    return np.asarray(leaf, dtype)  # a microsecond, where a transfer to the device takes twenty
 
 
 def steps_per_period(period: Scalar, dt: Scalar) -> jax.Array:
     """Plant steps between two ticks of Algorithm 2, a whole number >= 1."""
     return jnp.maximum(jnp.round(period / dt), 1.0).astype(jnp.int32)
-
-
-def suggest(word: str, known: tuple[str, ...] | list[str]) -> str:
-    """'; did you mean `x`?' for the nearest known word, or an empty string."""
-    lower = {name.lower(): name for name in known}
-    near = difflib.get_close_matches(word.lower(), lower, n=1, cutoff=0.5)
-    return f"; did you mean `{lower[near[0]]}`?" if near else ""
 
 
 def check_field(name: str, values: Any, dt: float | None = None) -> None:
@@ -150,11 +149,23 @@ def check_field(name: str, values: Any, dt: float | None = None) -> None:
             raise ParamsError(name, f"{a[bad][0]:.6g}", wanted)
 
 
-def check(params: Params, dt: float) -> None:
+def check_scalars(params: Params) -> None:
+    """Raise ParamsError unless every leaf is a scalar, as the functions of one scenario take."""
+    for name, leaf in vars(params).items():
+        if np.ndim(leaf):
+            wanted = "a scalar (sweep takes [N] leaves, vmap makes scalars of them)"
+            raise ParamsError(name, f"of shape {np.shape(leaf)}", wanted)
+
+
+def check(params: Params, dt: float, n_steps: int = 1) -> None:
     """Raise ParamsError for the first value no scenario may have; leaves may be `[N]` arrays.
 
-    Called once, at the boundary where numbers are still concrete.
+    Called once, at the boundary where numbers are still concrete; a tracer passes unchecked.
     """
+    if not isinstance(n_steps, int | np.integer) or n_steps < 1:
+        raise ParamsError("n_steps", n_steps, "a whole number, at least 1")
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in [dt, *jax.tree.leaves(params)]):
+        return
     if not (np.isfinite(dt) and dt > 0):
         raise ParamsError("dt", f"{dt:g}", "positive and finite")
     for name in QUANTITIES:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from fic_jax.controller import Attractor, latch, torque
 from fic_jax.environment import interaction_torque
 from fic_jax.exploration import expected_reference, explore
-from fic_jax.params import Model, Params, Scalar, canonical
+from fic_jax.params import Model, Params, Scalar, canonical, check, check_scalars, strong
 
 
 @jax.tree_util.register_dataclass
@@ -114,12 +114,15 @@ def plant_step(p: Params, state: State, model: Model, dt: Scalar) -> tuple[State
     return State(k, x, v, measured, memory), sample
 
 
-def _canonical(params: Params, dt: Scalar) -> tuple[Params, jax.Array]:
+compiled_step = jax.jit(plant_step, static_argnames="model")
+
+
+def canonical_with(params: Params, dt: Scalar) -> tuple[Params, Scalar]:
+    """Parameters and plant step in one strong dtype, before jit sees them."""
     p = canonical(params)
-    return p, jnp.asarray(dt, p.K0.dtype)
+    return p, strong(dt, p.K0.dtype)
 
 
-@partial(jax.jit, static_argnames="model")
 def step(
     params: Params, state: State, *, model: Model = Model(), dt: Scalar
 ) -> tuple[State, Sample]:
@@ -127,13 +130,12 @@ def step(
 
     Order: Algorithm 2 if it ticks, branch and e_M (Algorithm 1), RK4, measurement. Scalars in,
     scalars out; composes with vmap, scan, grad and the caller's jit. Only a changed `model`
-    compiles again.
+    compiles again. Nothing is checked here: `period` has to be a whole multiple of `dt`.
     """
-    p, dt = _canonical(params, dt)
-    return plant_step(p, state, model, dt)
+    p, dt = canonical_with(params, dt)
+    return compiled_step(p, state, model, dt)
 
 
-@partial(jax.jit, static_argnames="model")
 def control(
     params: Params,
     memory: Memory,
@@ -146,20 +148,38 @@ def control(
 ) -> tuple[jax.Array, Memory]:
     """The controller alone, for somebody else's plant: torque (N*m) and the new memory.
 
-    Call it once every `dt` seconds with the position x (rad), velocity v (rad/s) and measured
-    torque (N*m); `init(params, model).memory` is the first memory. `Params.period` must be a
-    multiple of `dt`. Of `params` only the controller's fields are read, not I, Kenv, Denv, gap.
+    Jitted; call it once every `dt` seconds with the position x (rad), velocity v (rad/s) and
+    measured torque (N*m); `init(params, model).memory` is the first memory. `Params.period` must
+    be a multiple of `dt`. Of `params` only the controller's fields are read, not I, Kenv, gap ...
     """
-    p, dt = _canonical(params, dt)
-    x, v, tau_measured = (jnp.asarray(a, dt.dtype) for a in (x, v, tau_measured))
-    memory, attractor = decide(p, memory, x, v, tau_measured, model, dt)
+    p, dt = canonical_with(params, dt)
+    x, v, tau_measured = (strong(a, dt.dtype) for a in (x, v, tau_measured))
+    return compiled_control(p, memory, x, v, tau_measured, model, dt)
+
+
+@partial(jax.jit, static_argnames="model")
+def compiled_control(
+    p: Params, memory: Memory, x: Scalar, v: Scalar, measured: Scalar, model: Model, dt: Scalar
+) -> tuple[jax.Array, Memory]:
+    """`control` on canonical numbers."""
+    memory, attractor = decide(p, memory, x, v, measured, model, dt)
     return torque(memory.x_h - x, attractor, p, model), memory
 
 
-@partial(jax.jit, static_argnames=("model", "n_steps"))
 def rollout(params: Params, *, model: Model = Model(), dt: Scalar, n_steps: int) -> Sample:
-    """Simulate one scenario from `init`; returns Sample with a leading time axis [n_steps]."""
-    p, dt = _canonical(params, dt)
+    """Simulate one scenario from `init`; returns Sample with a leading time axis [n_steps].
+
+    Raises ParamsError if a concrete value is out of bounds.
+    """
+    check_scalars(params)
+    check(params, dt, n_steps)
+    p, dt = canonical_with(params, dt)
+    return compiled_rollout(p, model, dt, n_steps)
+
+
+@partial(jax.jit, static_argnames=("model", "n_steps"))
+def compiled_rollout(p: Params, model: Model, dt: Scalar, n_steps: int) -> Sample:
+    """`rollout` on canonical numbers."""
     _, samples = jax.lax.scan(
         lambda state, _: plant_step(p, state, model, dt), init(p, model), length=n_steps
     )

@@ -141,6 +141,8 @@ def _norm(metric: str, pool: NDArray[np.float64]) -> Normalize:
     if metric in SIGNED_METRICS:
         high = max(abs(low), abs(high))
         low = -high
+    if high - low <= 1e-4 * max(abs(low), abs(high)):  # one value: no ticks between its digits
+        low, high = low - 0.1 * (abs(low) or 1.0), high + 0.1 * (abs(high) or 1.0)
     ticks = MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
     return Normalize(ticks[0], ticks[-1])
 

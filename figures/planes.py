@@ -1,8 +1,9 @@
 """One plane of a store, cut out, scaled and sorted for drawing: axes, values, special cells."""
 
 import difflib
+import json
 import math
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from fic_jax import QUANTITIES
 from figures import style
 from sweeps.store import OK, STATUS
 
@@ -62,6 +64,9 @@ def select(
     metrics = [name for name in data.data_vars if name != "status"]
     _require(metric, metrics, "metric")
     for name in (x, y, *at):
+        along = data[name].dims if name in data.coords else (name,)
+        if along != (name,) and name not in data.dims:
+            raise PlotError(f"'{name}' varies along '{along[0]}', which has no grid to draw on.")
         _require(name, data[metric].dims, "dimension")
     if x == y:
         raise PlotError(f"x and y must be two dimensions, but both are '{x}'.")
@@ -132,8 +137,19 @@ def _slice(plane: xr.Dataset, x: str, y: str, metric: str) -> Slice:
         values=np.ma.masked_array(values, mask=hidden),
         special={key: cells for key, cells in special.items() if cells.any()},
         name=str(plane.attrs.get("name", "")),
-        fixed=tuple(_fixed(c) for key, c in plane.coords.items() if c.ndim == 0),
+        fixed=(*_constants(plane), *(_fixed(c) for c in plane.coords.values() if c.ndim == 0)),
     )
+
+
+def _constants(plane: xr.Dataset) -> Iterator[str]:
+    """What the sweep's record holds constant: choices of the model and parameters."""
+    record = json.loads(plane.attrs.get("sweep", "{}"))
+    for name, choice in record.get("model", {}).items():
+        if isinstance(choice, str):
+            yield f"{name} = {choice}"
+    for name, value in record.get("constants", {}).items():
+        units = style.units_text(QUANTITIES[name]["unit"])
+        yield f"{style.SYMBOLS.get(name, name)} = {style.number(value)} {units}".strip()
 
 
 def _units(array: xr.DataArray) -> str:

@@ -4,6 +4,7 @@ import math
 import os
 import textwrap
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from matplotlib import rc_context
@@ -154,9 +155,22 @@ def fold(text: str, width: float, size: float = FONT_SIZE) -> str:
     return textwrap.fill(text, max(8, math.floor(0.9 * len(text) * width / wide)))
 
 
+UNDATED: dict[str, dict[str, Any]] = {
+    ".png": {"Software": None},
+    ".pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+    ".svg": {"Date": None, "Creator": None},
+}
+
+
 def save(fig: Figure, path: str | os.PathLike[str]) -> None:
-    """Write a PNG at 200 dpi whose bytes depend on the picture alone."""
-    with rc_context(RC):
+    """Write a PNG at 200 dpi, a PDF or an SVG, whose bytes depend on the picture alone.
+
+    Raises ValueError for any other suffix.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in UNDATED:
+        raise ValueError(f"a picture ends in {', '.join(UNDATED)}, not in '{suffix}'")
+    with rc_context(RC | {"svg.hashsalt": "fic_jax"}):
         FigureCanvasAgg(fig).print_figure(
-            path, format="png", dpi=200, bbox_inches="tight", metadata={"Software": None}
+            path, format=suffix[1:], dpi=200, bbox_inches="tight", metadata=UNDATED[suffix]
         )

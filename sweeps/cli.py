@@ -3,9 +3,12 @@
 Heavy imports stay inside the commands, so that `--help` answers at once.
 """
 
+import os
 import signal
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -13,13 +16,12 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 
 if TYPE_CHECKING:
-    from sweeps.runner import Progress, Tell
+    from sweeps.runner import Progress
     from sweeps.spec import Sweep
     from sweeps.store import Store
 
 app = typer.Typer(
     name="fic-sweep",
-    help="Sweep the Fractal Impedance Controller over any of its parameters.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
@@ -64,12 +66,12 @@ def list_() -> None:
 
 
 @app.command()
-def show(what: What, set_: Set = None) -> None:
+def show(what: What) -> None:
     """Print a sweep file and what it comes to."""
     from sweeps.grid import Grid
     from sweeps.messages import plan_lines
 
-    sweep = _load(what, set_)
+    sweep = _load(what, None)
     print(_find(what).read_text(encoding="utf-8").rstrip())
     print()
     for line in plan_lines(Grid(sweep), "float32"):
@@ -87,6 +89,7 @@ def run(
     chunk: Annotated[int | None, typer.Option(min=1, help="cells of a block at most")] = None,
 ) -> None:
     """Run a sweep into a new store."""
+    asked = _stop_between_blocks()
     sweep = _load(what, set_)
     from sweeps import runner
 
@@ -96,18 +99,19 @@ def run(
         _dry_run(sweep, chunk, f"float{precision}")
         return
     store = runner.start(out or Path(f"{sweep.name}.zarr"), sweep, chunk, int(precision))
-    _carry_out(store)
+    _carry_out(store, asked)
 
 
 @app.command()
 def resume(path: Where) -> None:
     """Run the blocks of a store that are not done yet."""
+    asked = _stop_between_blocks()
     from sweeps import runner
     from sweeps.store import open_store
 
     precision = int(open_store(path, "r").dtype.removeprefix("float"))
     runner.configure(precision)
-    _carry_out(runner.reopen(path, precision))
+    _carry_out(runner.reopen(path, precision), asked)
 
 
 @app.command()
@@ -116,7 +120,9 @@ def status(path: Where) -> None:
     from sweeps.messages import status_lines
     from sweeps.store import open_store
 
-    for line in status_lines(open_store(path, "r")):
+    with _reading(path):
+        lines = status_lines(open_store(path, "r"))
+    for line in lines:
         print(line)
 
 
@@ -136,12 +142,16 @@ def plot(
     from figures import plot as draw
     from sweeps.store import dataset
 
-    data = dataset(path)
-    fixed = dict(_pair(text, "--at") for text in at or [])
-    try:
-        figure = draw(data, x=x, y=y, metric=metric, at=fixed)
-    except PlotError as error:
-        _refuse(f"{path}: {error}")
+    data, fixed = dataset(path), {}
+    for key, value in (_pair(text, "--at") for text in at or []):
+        if key in fixed:
+            _refuse(f"--at {key}={value}: {key} is given twice")
+        fixed[key] = value
+    with _reading(path):
+        try:
+            figure = draw(data, x=x, y=y, metric=metric, at=fixed)
+        except PlotError as error:
+            _refuse(f"{path}: {error}")
     target = out or Path(f"{data.attrs['name']}-{metric}.png")
     try:
         save(figure, target)
@@ -162,7 +172,8 @@ def export(
 
     data = dataset(path)
     target = out or Path(f"{data.attrs['name']}{SUFFIX[to.value]}")
-    rows = write(data, target, to.value)
+    with _reading(path):
+        rows = write(data, target, to.value)
     print(f"wrote {target}, {rows:,} scenarios")
 
 
@@ -182,9 +193,26 @@ def bench(
     print(encoder.dumps(result) if json else table(result))
 
 
+def _version(asked: bool) -> None:
+    if asked:
+        from fic_jax import __version__
+
+        print(f"fic-sweep {__version__}")
+        raise typer.Exit(0)
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="print it and exit")
+    ] = False,
+) -> None:
+    """Sweep the Fractal Impedance Controller over any of its parameters."""
+
+
 def _find(what: str) -> Path:
     """A library sweep by name, or a file. A name never hides a file that is there."""
-    from fic_jax.params import suggest
+    from sweeps.spec import suggest
 
     if Path(what).is_file() or "/" in what or what.endswith(".toml"):
         return Path(what)
@@ -220,24 +248,39 @@ def _dry_run(sweep: "Sweep", chunk: int | None, dtype: str) -> None:
     print(expectation(grid, *measure(grid, dtype)))
 
 
-def _carry_out(store: "Store") -> None:
+def _stop_between_blocks() -> list[int]:
+    """Catch Ctrl-C and SIGTERM: the first asks for a stop, the second stops at once.
+
+    An exception raised in the middle of XLA's compiler crashes the process. Returns the list
+    that the signals asked for are put into.
+    """
+    asked: list[int] = []
+
+    def ask(signum: int, _frame: object) -> None:
+        if asked:
+            os._exit(1)  # whatever is committed is on disk
+        asked.append(signum)
+        os.write(2, b"fic-sweep: stopping after the block in hand, once more to stop at once\n")
+
+    for signum in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(signum, ask)
+    return asked
+
+
+def _carry_out(store: "Store", asked: list[int]) -> None:
     """Run a store to its end, with progress; whatever happens, finished blocks stay."""
-    from sweeps import runner
     from sweeps.messages import interruption, summary
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends like Ctrl-C
     try:
-        if sys.stdout.isatty():
-            result = _with_bar(store)
-        else:
-            result = runner.run(store, _plain_lines())
+        result = (_with_bar if sys.stdout.isatty() else _with_lines)(store, asked)
     except (KeyboardInterrupt, OSError) as error:
         print(f"fic-sweep: {interruption(store, error)}", file=sys.stderr)
         raise typer.Exit(1) from None
     print(summary(store, result))
 
 
-def _with_bar(store: "Store") -> "Progress":
+def _with_bar(store: "Store", asked: list[int]) -> "Progress":
+    """For a terminal: a bar with rate and time left."""
     from rich.progress import BarColumn, TextColumn
     from rich.progress import Progress as Bar
 
@@ -245,28 +288,47 @@ def _with_bar(store: "Store") -> "Progress":
     from sweeps.messages import progress_line
 
     text = TextColumn("{task.percentage:>3.0f} % {task.fields[told]}")
-    with Bar(TextColumn(store.grid.sweep.name), BarColumn(), text) as bar:
+    with Bar(TextColumn(store.grid.sweep.name), BarColumn(), text, transient=True) as bar:
         task = bar.add_task("", total=store.grid.cells, told="compiling")
 
         def tell(progress: "Progress") -> None:
             bar.update(task, completed=progress.done, told=progress_line(progress))
+            _stop_if(asked, progress)
 
         return runner.run(store, tell)
 
 
-def _plain_lines(every: float = 10.0) -> "Tell":
-    """One line now and then, for logs."""
+def _with_lines(store: "Store", asked: list[int]) -> "Progress":
+    """For a log: one line now and then."""
+    from sweeps import runner
     from sweeps.messages import log_line
 
-    last = time.monotonic()
+    every, last = 10.0, time.monotonic()  # s
 
     def tell(progress: "Progress") -> None:
         nonlocal last
         if progress.ran and time.monotonic() - last >= every:
             last = time.monotonic()
             print(log_line(progress), flush=True)
+        _stop_if(asked, progress)
 
-    return tell
+    return runner.run(store, tell)
+
+
+def _stop_if(asked: list[int], progress: "Progress") -> None:
+    if asked and progress.done < progress.cells:
+        raise KeyboardInterrupt
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """A store that is there but damaged is told in one line, not with zarr's traceback."""
+    try:
+        yield
+    except (OSError, ValueError, KeyError, RuntimeError) as error:
+        if isinstance(error, typer.Exit):
+            raise
+        _refuse(f"{path}: can't be read: {str(error).splitlines()[0][:200]}")
 
 
 def _pair(text: str, option: str) -> tuple[str, Any]:
@@ -296,7 +358,7 @@ def _dispatch() -> int:
     try:
         return typer.main.get_command(app)(standalone_mode=False) or 0
     except typer.Exit as stop:
-        return stop.exit_code
+        return 1 if stop.exit_code == 130 else stop.exit_code  # typer's word for Ctrl-C
     except (KeyboardInterrupt, typer.Abort):
         print("fic-sweep: interrupted", file=sys.stderr)
         return 1
@@ -312,7 +374,9 @@ def _dispatch() -> int:
 def _message_of(error: Exception) -> str | None:
     """The line for a wrong request; None for our own mistakes, which keep their traceback."""
     if hasattr(error, "format_message"):  # a wrong option, as the parser of typer tells it
-        return str(error.format_message())
+        return " ".join(str(error.format_message()).split())
     from sweeps.spec import SweepError
 
+    if isinstance(error, OSError) and error.filename:  # a name too long, a folder not ours
+        return f"{error.filename}: {error.strerror}"
     return str(error) if isinstance(error, SweepError) else None

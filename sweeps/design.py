@@ -2,10 +2,14 @@
 
 import warnings
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sweeps.spec import Sample
+
+if TYPE_CHECKING:
+    from scipy.stats import qmc
 
 
 def draw(sample: Sample, start: int, stop: int) -> dict[str, np.ndarray]:
@@ -17,14 +21,21 @@ def draw(sample: Sample, start: int, stop: int) -> dict[str, np.ndarray]:
 
 def _sobol(sample: Sample, start: int, stop: int) -> np.ndarray:
     """Scrambled Sobol points; balanced over a power of two, of which any stretch is drawn alone."""
-    from scipy.stats import qmc  # a second to import, and few sweeps draw Sobol points
-
-    engine = qmc.Sobol(len(sample.ranges), scramble=True, rng=sample.seed, bits=32)
-    if start:  # scipy overflows on a forward of nothing
-        engine.fast_forward(start)
+    engine = _sobol_sequence(len(sample.ranges), sample.seed)
+    if engine.num_generated > start:
+        engine.reset()
+    if engine.num_generated < start:  # scipy overflows on a forward of nothing
+        engine.fast_forward(start - engine.num_generated)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "The balance properties")  # a block is no whole design
         return engine.random(stop - start).T
+
+
+@lru_cache(maxsize=1)  # forwarding takes time in proportion, but blocks come one after another
+def _sobol_sequence(fields: int, seed: int) -> "qmc.Sobol":
+    from scipy.stats import qmc  # a second to import, and few sweeps draw Sobol points
+
+    return qmc.Sobol(fields, scramble=True, rng=seed, bits=32)
 
 
 def _random(sample: Sample, start: int, stop: int) -> np.ndarray:

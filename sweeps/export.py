@@ -1,5 +1,6 @@
-"""A store as one table (CSV, Parquet) or one NetCDF file, piece by piece."""
+"""A store as one table (CSV, Parquet), piece by piece, or one NetCDF file, variable by variable."""
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,28 +20,38 @@ def write(data: xr.Dataset, path: Path, to: str) -> int:
     """Write the whole store to `path`, which must not exist; returns the number of scenarios."""
     if path.exists():
         raise SweepError(f"{path}: exists already; --out names another")
+    partial = path.with_name(f".{path.name}.partial")
     try:
-        _WRITERS[to](data, path)
+        _WRITERS[to](data, partial)
+        partial.rename(path)
     except ImportError as error:
         raise SweepError(f"--to {to}: needs {error.name}; pip install 'fic-jax[export]'") from None
     except OSError as error:
         raise SweepError(f"{path}: can't be written: {error.strerror or error}") from None
+    finally:
+        partial.unlink(missing_ok=True)
     return int(data["status"].size)
 
 
 def tables(data: xr.Dataset) -> Iterator[pd.DataFrame]:
     """One row a scenario, dimensions and swept fields as columns, `status` in words."""
     words = {code: name for name, code in STATUS.items()}
-    first = next(iter(data.sizes))
-    others = data["status"].size // data.sizes[first]
-    step = max(1, PIECE // others)
-    for start in range(0, data.sizes[first], step):
-        frame = data.isel({first: slice(start, start + step)}).to_dataframe(
-            list(map(str, data.sizes))
-        )
-        frame = frame.reset_index()
+    order = list(map(str, data.sizes))
+    for piece in _pieces(dict(data["status"].sizes)):
+        frame = data.isel(piece).to_dataframe(order).reset_index()
         frame["status"] = frame["status"].map(words)
         yield frame
+
+
+def _pieces(sizes: dict[Any, int]) -> Iterator[dict[Any, slice]]:
+    """Stretches of at most PIECE cells in storage order: single indices, one range, whole rest."""
+    names, lengths = list(sizes), list(sizes.values())
+    split = next(i for i in range(len(names)) if math.prod(lengths[i + 1 :]) <= PIECE)
+    step = PIECE // math.prod(lengths[split + 1 :])
+    for index in np.ndindex(*lengths[:split]):
+        for start in range(0, lengths[split], step):
+            outer = {name: slice(i, i + 1) for name, i in zip(names, index, strict=False)}
+            yield outer | {names[split]: slice(start, start + step)}
 
 
 def _csv(data: xr.Dataset, path: Path) -> None:

@@ -12,7 +12,8 @@ from fic_jax import QUANTITIES, Model, Params
 from sweeps.design import draw
 from sweeps.spec import Sweep
 
-# A block is the unit of work, of storage and of what an interruption costs: about a second.
+# A block is the unit of work, of storage and of what an interruption costs: a second or two, unless
+# a scenario is so long that the smallest block takes more.
 BLOCK_STEPS = 150_000_000
 SMALLEST_BLOCK, LARGEST_BLOCK = 4_096, 1_000_000
 

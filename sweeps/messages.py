@@ -44,7 +44,7 @@ def status_lines(store: Store) -> list[str]:
 def progress_line(progress: Progress) -> str:
     """Rate and time left."""
     if not progress.ran:
-        return "compiling"
+        return "compiling" if progress.done < progress.cells else "complete already"
     rate = progress.ran / progress.seconds
     left = (progress.cells - progress.done) / rate
     return f"{rate:,.0f} scenarios/s, {_duration(left)} left"
@@ -61,11 +61,10 @@ def summary(store: Store, result: Progress) -> str:
     if not result.ran:
         return f"{store.path}: complete already, {result.cells:,} scenarios"
     rate = result.ran / result.seconds
+    steps = rate * store.grid.sweep.n_steps / 1e6
+    speed = f", {rate:,.0f}/s ({steps:,.0f} M steps/s)" if steps >= 1 else ""
     diverged = f", {result.diverged:,} diverged" if result.diverged else ""
-    return (
-        f"{store.path}: {result.ran:,} scenarios in {_duration(result.seconds)}, "
-        f"{rate:,.0f}/s ({rate * store.grid.sweep.n_steps / 1e6:,.0f} M steps/s){diverged}"
-    )
+    return f"{store.path}: {result.ran:,} scenarios in {_duration(result.seconds)}{speed}{diverged}"
 
 
 def interruption(store: Store, error: BaseException) -> str:

@@ -12,7 +12,7 @@ import fic_jax
 import sweeps
 
 # What must agree before a store is continued. The rest (device, revision) is told, not compared.
-IDENTITY = ("program", "jax", "jaxlib", "platform", "dtype", "xla_flags")
+IDENTITY = ("program", "jax", "jaxlib", "numpy", "scipy", "platform", "dtype", "xla_flags")
 
 
 def provenance(precision: int) -> dict[str, str]:
@@ -24,6 +24,8 @@ def provenance(precision: int) -> dict[str, str]:
         "revision": revision(),
         "jax": jax.__version__,
         "jaxlib": version("jaxlib"),
+        "numpy": version("numpy"),
+        "scipy": version("scipy"),
         "platform": device.platform,
         "device": f"{jax.local_device_count()} x {device.device_kind}",
         "dtype": f"float{precision}",
@@ -32,9 +34,10 @@ def provenance(precision: int) -> dict[str, str]:
 
 
 def fingerprint() -> str:
-    """SHA-256 of every source that decides a number: all of fic_jax, and how cells get values."""
+    """SHA-256 of the sources that decide a number, from a cell's values to what is stored."""
     engine = sorted(Path(fic_jax.__file__).parent.rglob("*.py"))
-    plan = [Path(sweeps.__file__).parent / name for name in ("design.py", "grid.py", "spec.py")]
+    names = ("design.py", "grid.py", "runner.py", "spec.py", "store.py")
+    plan = [Path(sweeps.__file__).parent / name for name in names]
     digest = hashlib.sha256()
     for path in [*engine, *plan]:
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")

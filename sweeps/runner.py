@@ -14,11 +14,13 @@ from sweeps.grid import Block, Grid
 from sweeps.provenance import IDENTITY, provenance
 from sweeps.spec import Sweep, SweepError
 from sweeps.store import Store, create, open_store
+from sweeps.validation import out_of_bounds
 
 STABLE = 2.78  # |lambda| dt beyond which RK4 diverges on a linear system
 ACCURATE = 1.0  # |lambda| dt up to which a step resolves it
 
 MEASURED_STEPS = 30_000_000  # plant steps of a dry run's measurement, some tenths of a second
+MEASURED_LEAST = 512  # scenarios, so that no device has idle lanes
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,8 @@ def configure(precision: int) -> None:
 
 def start(path: Path, plan: Sweep, chunk: int | None, precision: int) -> Store:
     """Make the store of a new run. Raises SweepError if it can't be."""
+    for problem in out_of_bounds(plan, f"float{precision}"):
+        raise SweepError(f"{plan.name} in {precision} bits: {problem}")
     attributes = provenance(precision) | {"start": _now()}
     return create(path, Grid(plan, chunk), attributes)
 
@@ -55,7 +59,7 @@ def reopen(path: Path, precision: int) -> Store:
     if differing:
         raise SweepError(
             f"{path}: was begun by another program ({'; '.join(differing)}); "
-            "continue it with that one, or run the sweep again into another --out"
+            "continue it with that one, or remove it and run the sweep again"
         )
     return store
 
@@ -74,7 +78,7 @@ def run(store: Store, tell: Tell) -> Progress:
         seconds = time.perf_counter() - began
         progress = Progress(grid.cells, grid.cells - todo + ran, ran, diverged, seconds)
         tell(progress)
-    if pending:
+    if "end" not in store.group.attrs:  # also where an interruption came just before this line
         store.note(end=_now())
     return progress
 
@@ -90,7 +94,7 @@ def _compute(grid: Grid, block: Block, dtype: str, n: int | None = None) -> Metr
 def measure(grid: Grid, dtype: str) -> tuple[float, float]:
     """Seconds before the first result, and scenarios a second, from a short run of the plan."""
     block = next(grid.blocks())
-    n = max(1, min(_cells(block), MEASURED_STEPS // grid.sweep.n_steps))
+    n = min(_cells(block), max(MEASURED_STEPS // grid.sweep.n_steps, MEASURED_LEAST))
     seconds = []
     for _ in range(2):
         began = time.perf_counter()

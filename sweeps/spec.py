@@ -1,6 +1,7 @@
 """The sweep record: the types of a sweep file and what they stand for."""
 
-import hashlib
+import difflib
+from collections.abc import Iterable
 from typing import Annotated, Any, Literal, Self, cast
 
 import numpy as np
@@ -33,6 +34,13 @@ class SweepError(Exception):
     """A request that can't be run; its text is one clear line for each thing wrong."""
 
 
+def suggest(word: str, known: Iterable[str]) -> str:
+    """'; did you mean `x`?' for the nearest known word, or an empty string."""
+    lower = {name.lower(): name for name in known}
+    near = difflib.get_close_matches(word.lower(), lower, n=1, cutoff=0.5)
+    return f"; did you mean `{lower[near[0]]}`?" if near else ""
+
+
 class Record(BaseModel):
     """Base of the tables of a sweep file: no unknown keys, no changes."""
 
@@ -63,8 +71,9 @@ class Span(Record):
         """Values at fractions 0..1 of the range, on its own scale; the ends come out exactly."""
         a, b = self.ends
         if self.lin:
-            return a + (b - a) * fraction
-        inside = np.exp(np.log(a) + (np.log(b) - np.log(a)) * fraction)
+            inside = a + (b - a) * fraction
+        else:
+            inside = np.exp(np.log(a) + (np.log(b) - np.log(a)) * fraction)
         return np.where(fraction == 0.0, a, np.where(fraction == 1.0, b, inside))
 
 
@@ -133,9 +142,6 @@ class Sweep(Record):
     def record(self) -> str:
         """The sweep as JSON: what a store keeps, and what two sweeps are compared by."""
         return self.model_dump_json(exclude_none=True)
-
-    def sha256(self) -> str:
-        return hashlib.sha256(self.record().encode()).hexdigest()
 
     def given(self) -> dict[str, dict[str, np.ndarray]]:
         """Every field the sweep sets: section -> name -> its values (a range: its ends)."""

@@ -4,6 +4,7 @@ Block = chunk = unit of commit. A block's metrics are written first and its `sta
 file by a rename, so that a block counts as done when, and only when, its status says so.
 """
 
+import hashlib
 import os
 import shutil
 import warnings
@@ -81,9 +82,9 @@ class Store:
 def create(path: Path, grid: Grid, attributes: Mapping[str, Any]) -> Store:
     """Make an empty store, whole or not at all. Raises SweepError if it can't be."""
     if path.exists() or path.is_symlink():
-        raise SweepError(
-            f"{path}: exists already; `fic-sweep resume {path}` continues it, --out names another"
-        )
+        store = os.path.isfile(path / "zarr.json")
+        go_on = f"`fic-sweep resume {path}` continues it, " if store else ""
+        raise SweepError(f"{path}: exists already; {go_on}--out names another")
     needed, parent = size(grid, attributes["dtype"]), _existing_parent(path)
     free = shutil.disk_usage(parent).free
     if needed > free:
@@ -97,32 +98,40 @@ def create(path: Path, grid: Grid, attributes: Mapping[str, Any]) -> Store:
         _lay_out(partial, grid, attributes)
         partial.rename(path)
     except OSError as error:
-        shutil.rmtree(partial, ignore_errors=True)
         raise SweepError(f"{path}: can't be written: {error.strerror or error}") from None
+    finally:  # an interruption leaves no more behind than an error
+        shutil.rmtree(partial, ignore_errors=True)
     return open_store(path)
 
 
 def open_store(path: Path, mode: Any = "r+") -> Store:
     """Open a store and rebuild its plan. Raises SweepError if it is none or was tampered with."""
-    if not (path / "zarr.json").is_file():
+    if not os.path.isfile(path / "zarr.json"):  # False, too, for a name no file may have
         raise SweepError(f"{path}: is no result store (no zarr.json in it)")
     try:
         group = zarr.open_group(path, mode=mode)
         attributes = group.attrs.asdict()
-        sweep = Sweep.model_validate_json(str(attributes["sweep"]))
+        record = str(attributes["sweep"])
+        sweep = Sweep.model_validate_json(record)
         chunk, written = int(str(attributes["block_cells"])), attributes["sweep_sha256"]
     except (KeyError, ValueError, OSError) as error:
         raise SweepError(f"{path}: is no result store of fic-sweep ({error})"[:200]) from None
     if attributes["format"] != FORMAT:
         raise SweepError(f"{path}: has format {attributes['format']}; this program reads {FORMAT}")
-    if sweep.sha256() != written:
+    if sha256(record) != written:
         raise SweepError(f"{path}: its sweep record differs from the one that began it")
     return Store(path, Grid(sweep, chunk), group)
 
 
+def sha256(record: str) -> str:
+    """What a sweep record is recognised by: its text, so that later fields change nothing."""
+    return hashlib.sha256(record.encode()).hexdigest()
+
+
 def size(grid: Grid, dtype: str) -> int:
-    """Bytes of a finished store before compression."""
-    return grid.cells * (len(grid.sweep.metrics) * np.dtype(dtype).itemsize + 1)
+    """Bytes of a finished store before compression: metrics, status, coordinates."""
+    coordinates = sum(n * 8 * len(grid.coordinates(d, slice(0, 1))) for d, n in grid.dims.items())
+    return grid.cells * (len(grid.sweep.metrics) * np.dtype(dtype).itemsize + 1) + coordinates
 
 
 def _existing_parent(path: Path) -> Path:
@@ -137,7 +146,7 @@ def _lay_out(path: Path, grid: Grid, attributes: Mapping[str, Any]) -> None:
         "name": sweep.name,
         "description": sweep.description,
         "sweep": sweep.record(),
-        "sweep_sha256": sweep.sha256(),
+        "sweep_sha256": sha256(sweep.record()),
         "block_cells": grid.block_cells,
     }
     group = zarr.create_group(path, attributes=record | dict(attributes))
@@ -214,6 +223,5 @@ def dataset(path: Path) -> "xr.Dataset":
     """The store as a lazy Dataset. Raises SweepError if it is none."""
     import xarray as xr  # half a second with pandas, and a run needs neither
 
-    if not (path / "zarr.json").is_file():
-        raise SweepError(f"{path}: is no result store (no zarr.json in it)")
+    open_store(path, "r")  # tells a foreign one
     return xr.open_zarr(path, chunks=None)

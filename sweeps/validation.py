@@ -10,8 +10,8 @@ from typing import Any, cast
 import numpy as np
 from pydantic import ValidationError
 
-from fic_jax import CHOICES, QUANTITIES, Model, ParamsError
-from fic_jax.params import check, check_field, suggest
+from fic_jax import CHOICES, QUANTITIES, Model, Params, ParamsError
+from fic_jax.params import check, check_field
 from sweeps.spec import (
     MAX_AXIS,
     MAX_STEPS,
@@ -23,13 +23,14 @@ from sweeps.spec import (
     Sweep,
     SweepError,
     Time,
+    suggest,
 )
 
 
 def load(path: Path, overrides: tuple[str, ...] = ()) -> Sweep:
     """Read and validate a sweep file. Raises SweepError, one line for each problem."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")  # some editors write a mark
     except FileNotFoundError:
         raise SweepError(f"{path}: there is no such file") from None
     except (OSError, UnicodeDecodeError) as error:
@@ -57,8 +58,11 @@ def validate(raw: dict[str, Any], source: str) -> Sweep:
     except ValidationError as errors:
         lines = [f"{source}: {_explain(error)}" for error in errors.errors()]
         raise SweepError("\n".join(lines)) from None
-    for problem in _problems(sweep):
-        raise SweepError(f"{source}: {problem}")
+    # in stages: what is wrong with a name says nothing more about its values
+    for stage in (_unknown_names, _placement, _time_grid, out_of_bounds):
+        problems = [f"{source}: {problem}" for problem in stage(sweep)]
+        if problems:
+            raise SweepError("\n".join(problems))
     return sweep
 
 
@@ -124,23 +128,30 @@ def _known_keys(path: list[str]) -> list[str]:
     return list(models.get(".".join(path), Sweep).model_fields)
 
 
-def _problems(sweep: Sweep) -> Iterator[str]:
-    """What the types can't say: names, places, bounds, the time grid. Yields lines."""
-    yield from _unknown_names(sweep)
-    yield from _placement(sweep)
-    yield from _time_grid(sweep)
+def out_of_bounds(sweep: Sweep, dtype: str = "float64") -> Iterator[str]:
+    """Values no scenario may have once they are `dtype`: bounds, the time grid, xb > x0."""
+    good = True
     for section, fields in sweep.given().items():
         for name, values in fields.items():
             try:
-                check_field(name, values, sweep.time.dt)
+                check_field(name, _cast(values, dtype), sweep.time.dt)
             except ParamsError as error:
+                good = False
                 yield f"`{section}.{name}` must be {error.wanted}, but is {error.value}."
+    if not good:
+        return
+    extremes = Params(**{k: _cast(v, dtype) for k, v in vars(sweep.extremes()).items()})
     try:
-        check(sweep.extremes(), sweep.time.dt)
+        check(extremes, sweep.time.dt)
     except ParamsError as error:
         given = any(error.key in fields for fields in sweep.given().values())
         default = "" if given else " (the default)"
         yield f"`{error.key}` must be {error.wanted}, but is {error.value}{default}."
+
+
+def _cast(values: Any, dtype: str) -> np.ndarray:
+    with np.errstate(over="ignore", under="ignore"):  # told as inf or zero where it happens
+        return np.asarray(values, dtype)
 
 
 def _unknown_names(sweep: Sweep) -> Iterator[str]:
@@ -197,20 +208,23 @@ def _placement(sweep: Sweep) -> Iterator[str]:
 
 def _time_grid(sweep: Sweep) -> Iterator[str]:
     dt, t_end = sweep.time.dt, sweep.time.t_end
-    steps = t_end / dt
-    if abs(steps - round(steps)) > 1e-6 * steps or round(steps) < 1:
+    steps = t_end / dt if dt * MAX_STEPS > t_end / 2 else np.inf  # a tiny dt would overflow
+    if steps > MAX_STEPS:
+        yield f"`time.t_end` must be at most {MAX_STEPS:,} steps of dt, but dt is {dt:g} s."
+    elif abs(steps - round(steps)) > 1e-6 * steps or round(steps) < 1:
         near = max(round(steps), 1) * dt
         wanted = f"a whole multiple of dt = {dt:g} s (nearest: {near:g})"
         yield f"`time.t_end` must be {wanted}, but is {t_end:g}."
-    elif steps > MAX_STEPS:
-        yield f"`time.t_end` must be at most {MAX_STEPS} steps of dt, but is {steps:.3g} steps."
+
+
+PLAIN = ("name", "description", "metrics")  # keys outside any table
 
 
 def _override(raw: dict[str, Any], text: str) -> None:
     """Apply `--set KEY=VALUE`: a number becomes a constant, a list or a range an axis.
 
-    KEY is a field of Params, a choice of the model, `dt` or `t_end`; VALUE is TOML, and a bare
-    word is a text. A field leaves the place it had.
+    KEY is a field of Params, a choice of the model or any other key of the file by its own name;
+    VALUE is TOML, and a bare word is a text. A field leaves the place it had.
     """
     key, equals, value = text.partition("=")
     key = key.strip()
@@ -218,27 +232,34 @@ def _override(raw: dict[str, Any], text: str) -> None:
         raise SweepError(f"--set {text}: must be KEY=VALUE, as in --set K0=10")
     try:
         parsed = tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (tomllib.TOMLDecodeError, RecursionError):
         parsed = value.strip()
-    if key in ("dt", "t_end"):
-        raw.setdefault("time", {})[key] = parsed
-    elif key in CHOICES:
-        raw.setdefault("model", {})[key] = parsed
-    elif key in QUANTITIES:
+    sections = dict.fromkeys(Time.model_fields, "time") | dict.fromkeys(CHOICES, "model")
+    sections |= dict.fromkeys(("n", "method", "seed"), "sample")
+    if key in QUANTITIES:
         _move(raw, key, parsed)
+    elif key in sections:
+        _put(raw, sections[key], key, parsed)
+    elif key in PLAIN:
+        raw[key] = parsed
     else:
-        known = [*QUANTITIES, *CHOICES, "dt", "t_end"]
+        known = [*QUANTITIES, *sections, *PLAIN]
         hint = suggest(key, known) or _one_of(known)
         raise SweepError(f"--set {text}: unknown key `{key}`{hint}")
 
 
 def _move(raw: dict[str, Any], name: str, value: Any) -> None:
     section = "axes" if isinstance(value, list | dict) else "constants"
-    places = [raw.get("constants"), raw.get("cases"), (raw.get("sample") or {}).get("ranges")]
-    for place in places:
-        if isinstance(place, dict):
+    sample = raw.get("sample")
+    ranges = sample.get("ranges") if isinstance(sample, dict) else None
+    for place in (raw.get("constants"), raw.get("cases"), ranges, raw.get("axes")):
+        # an axis that stays one keeps its position
+        if isinstance(place, dict) and not (section == "axes" and place is raw.get("axes")):
             place.pop(name, None)
-    axes = raw.get("axes")
-    if isinstance(axes, dict) and section == "constants":
-        axes.pop(name, None)
-    raw.setdefault(section, {})[name] = value  # an axis keeps its position
+    _put(raw, section, name, value)
+
+
+def _put(raw: dict[str, Any], section: str, name: str, value: Any) -> None:
+    table = raw.setdefault(section, {})
+    if isinstance(table, dict):  # what is no table is told by the validation that follows
+        table[name] = value

@@ -111,6 +111,8 @@ WRONG = [
     (["run", "tiny.toml", "--out", "/proc/a.zarr"], "for 12 cells, but /proc has 0 GB free"),
     (["run", "tiny.toml", "--frobnicate"], "No such option"),
     (["run"], "Missing argument"),
+    (["run", "tiny.toml", "--out", "x" * 300], "xxx: File name too long"),
+    (["status", "x" * 300], "xxx: is no result store"),
     (["dance"], "No such command 'dance'"),
     (["resume", "tiny.zarr"], "tiny.zarr: is no result store"),
     (["status", "tiny.toml"], "tiny.toml: is no result store"),
@@ -174,6 +176,10 @@ def test_interrupt_keeps_blocks_and_resume_ends_with_the_same_bits(folder, how):
 def test_plot(ran):
     call(ran, "plot", "tiny.zarr", "--x", "Td", "--y", "K0", "--metric", "nmse_tail", code=0)
     assert (ran / "tiny-nmse_tail.png").read_bytes().startswith(b"\x89PNG")
+    call(ran, "plot", "tiny.zarr", "--x", "Td", "--y", "K0", "--out", "a.pdf", code=0)
+    assert (ran / "a.pdf").read_bytes().startswith(b"%PDF")
+    wrong = call(ran, "plot", "tiny.zarr", "--x", "Td", "--y", "K0", "--out", "a.xyz", code=2)
+    assert "a picture ends in .png, .pdf, .svg, not in '.xyz'" in wrong.stderr
     wrong = call(ran, "plot", "tiny.zarr", "--x", "Kenv", "--y", "K0", code=2)
     assert "tiny.zarr: There is no dimension 'Kenv'. " in wrong.stderr
     wrong = call(ran, "plot", "tiny.zarr", "--x", "Td", "--y", "K0", "--at", "sigma", code=2)

@@ -1,6 +1,7 @@
 """The store: what xarray reads, the same bits whatever the chunking, and what it refuses."""
 
 import json
+import re
 import warnings
 
 import numpy as np
@@ -9,6 +10,7 @@ import xarray as xr
 
 import fic_jax
 from sweeps import runner, store
+from sweeps.grid import Grid
 from sweeps.spec import SweepError
 from sweeps.validation import parse
 
@@ -88,6 +90,24 @@ def test_a_cell_is_its_scenario(whole):
         assert data[name].values == getattr(metrics, name)[0]
 
 
+def test_values_that_lose_their_meaning_in_float32_are_refused(tmp_path):
+    """Good in 64 bits, nothing written in 32."""
+    for text, told in {
+        "I = [1e-50, 1.0]": "tiny in 32 bits: `axes.I` must be positive and finite, but is 0.",
+        "K0 = [1e300, 1.0]": "tiny in 32 bits: `axes.K0` must be positive and finite, but is inf.",
+        "xb = [0.1000000001]": "tiny in 32 bits: `xb` must be greater than x0 = 0.1, but is 0.1.",
+    }.items():
+        plan = parse('name = "tiny"\n[axes]\n' + text, "f")
+        with pytest.raises(SweepError, match=re.escape(told)):
+            runner.start(tmp_path / "a.zarr", plan, None, 32)
+        assert not list(tmp_path.iterdir())
+
+
+def test_size_counts_coordinates(tmp_path):
+    text = 'name = "a"\nmetrics = ["nmse"]\n[sample]\nn = 1000\nranges = { Td = { lin = [1, 2] } }'
+    assert store.size(Grid(parse(text, "f")), "float32") == 1000 * (4 + 1 + 8)
+
+
 @pytest.mark.parametrize("chunk", [1, 7, 10])
 def test_any_chunk_size_gives_the_same_store(tmp_path, plan, whole, chunk):
     complete(tmp_path / "other.zarr", plan, chunk)
@@ -120,7 +140,9 @@ def test_interrupted_run_keeps_finished_blocks_and_resume_does_the_rest(tmp_path
     ran = runner.run(runner.reopen(path, 32), quiet).ran
     assert ran == 60 - done.sum()
     assert bits(path) == bits(whole)
-    assert runner.run(runner.reopen(path, 32), quiet).ran == 0
+    again = runner.reopen(path, 32)
+    assert runner.run(again, quiet).ran == 0
+    assert again.group.attrs["end"]
 
 
 def test_resume_refuses_another_program(tmp_path, plan):
@@ -156,9 +178,10 @@ def test_what_is_no_store_is_refused(tmp_path, what):
         path.mkdir()
     elif what == "foreign":
         xr.Dataset({"a": ("x", [1.0])}).to_zarr(path, consolidated=False)
-    with pytest.raises(SweepError, match="is no result store") as caught:
-        store.open_store(path)
-    assert "\n" not in str(caught.value)
+    for opened in (store.open_store, store.dataset):
+        with pytest.raises(SweepError, match="is no result store") as caught:
+            opened(path)
+        assert "\n" not in str(caught.value)
 
 
 def test_an_existing_path_is_never_touched(tmp_path, plan):

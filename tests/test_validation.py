@@ -83,6 +83,18 @@ def test_two_mistakes_get_a_line_each():
     assert len(str(caught.value).splitlines()) == 2
 
 
+def test_every_wrong_value_gets_a_line():
+    with pytest.raises(SweepError) as caught:
+        parse(GOOD + "I = [-1.0]\nTd = [0.0]\nKenv = [-2.0]", "mine.toml")
+    assert len(str(caught.value).splitlines()) == 3
+
+
+@pytest.mark.parametrize("text", ["time = 5\n", "constants = 3\n", "sample = 5\n", "axes = 1\n"])
+def test_overrides_of_what_is_no_table_are_told(text):
+    with pytest.raises(SweepError, match="must be a"):
+        parse(text + 'name = "a"', "f", ("dt=0.1", "K0=3", "Td=[1, 2]"))
+
+
 def test_missing_file(tmp_path):
     with pytest.raises(SweepError, match="there is no such file"):
         load(tmp_path / "none.toml")
@@ -134,6 +146,8 @@ def test_axis_values_hit_their_ends_exactly():
     values = parse(GOOD, "f").axis_values("K0")
     assert values[0] == 1.0
     assert values[-1] == 1000.0
+    odd = parse('name = "a"\n[axes]\nKenv = { lin = [16.821, 1.678], n = 7 }', "f")
+    assert odd.axis_values("Kenv")[-1] == 1.678
     np.testing.assert_allclose(values, [1.0, 10.0, 100.0, 1000.0])
 
 
