@@ -94,7 +94,7 @@ def test_set_changes_a_value_and_makes_an_axis(folder):
 def test_dry_run_writes_nothing(folder):
     told = call(folder, "run", "tiny.toml", "--dry-run", code=0).stdout
     assert "K0 4 x Td 3 = 12 scenarios of 50 steps" in told
-    assert "492 B on disk before compression" in told
+    assert "548 B on disk before compression" in told
     assert re.search(r"about [\d.]+ s at [\d,]+ scenarios/s", told)
     assert [p.name for p in folder.iterdir()] == ["tiny.toml"]
 

@@ -21,7 +21,7 @@ def test_free_flight():
 
 def test_undamped_oscillation_on_the_welded_spring_and_order_four():
     """x = A cos(w t), w = sqrt(Kenv/I); halving dt divides the error by 2^4 within 0.1 in order."""
-    p = Params(**NO_TORQUE, Kenv=250.0, Denv=0.0, I=10.0, x_init=0.2)
+    p = Params(**NO_TORQUE, Kenv=250.0, Denv=0.0, I=10.0, x_init=0.2, period=0.02)
     errors = []
     for n in (200, 400):
         s = rollout(p, model=Model(contact="welded"), dt=4.0 / n, n_steps=n)
