@@ -1,5 +1,7 @@
 """Heatmaps show the selected plane with true labels, and never colour a cell without a value."""
 
+import json
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -325,3 +327,23 @@ def test_saved_bytes_depend_on_the_picture_alone(tmp_path, paper):
     first = (tmp_path / "one.png").read_bytes()
     assert first == (tmp_path / "two.png").read_bytes()
     assert b"Software" not in first
+
+
+def test_the_title_states_the_constants_of_the_sweep(atlas):
+    record = {"constants": {"sigma": 0.02, "Denv": 63.2}, "model": {"contact": "welded"}}
+    atlas.attrs["sweep"] = json.dumps(record)
+    shown = title(plot(atlas, x="Kenv", y="K0")).replace("\n", " ")
+    for text in (r"$\sigma$ = 0.02", "$D_{env}$ = 63.2 N·m·s/rad", "contact = welded"):
+        assert text in shown
+
+
+def test_a_constant_plane_keeps_plain_ticks(atlas):
+    atlas["convergence_time"][:] = np.float32(9.999999776e-3)
+    norm = mesh(panel(plot(atlas, x="Kenv", y="K0", metric="convergence_time"))).norm
+    assert 0.005 < norm.vmin < 0.01 < norm.vmax < 0.02
+
+
+def test_a_quantity_that_is_no_grid_is_told(atlas):
+    drawn = atlas.isel(Td=0, drop=True).assign_coords(gap=("K0", np.arange(16.0)))
+    with pytest.raises(PlotError, match="'gap' varies along 'K0', which has no grid to draw on"):
+        plot(drawn, x="gap", y="Kenv")
