@@ -17,9 +17,8 @@ METRICS = ("nmse", "nmse_tail", "convergence_time")
 
 def paper(welded: xr.Dataset, contact: xr.Dataset, metric: str) -> Figure:
     """A metric over Td and K0, welded beside hard stop (Fig. 4 as a map)."""
-    stores = {"welded": welded, "hard stop": contact}
-    items = [(title, select(d, x="Td", y="K0", metric=metric)) for title, d in stores.items()]
-    return panels(items)
+    planes = [select(data, x="Td", y="K0", metric=metric) for data in (welded, contact)]
+    return panels([("", plane) for plane in planes])
 
 
 def period(data: xr.Dataset, metric: str) -> Figure:
