@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 
 from fic_jax.environment import in_contact
-from fic_jax.params import Model, Params, Scalar, check, check_scalars
-from fic_jax.simulation import Sample, canonical_with, init, plant_step
+from fic_jax.params import Model, Params, Scalar
+from fic_jax.simulation import Sample, checked, init, plant_step
 
 SETTLING_BAND = 0.05  # of T_n: the torque has converged while it stays this close to it
 
@@ -158,9 +158,7 @@ def evaluate(params: Params, *, model: Model = Model(), dt: Scalar, n_steps: int
 
     Raises ParamsError if a concrete value is out of bounds.
     """
-    check_scalars(params)
-    check(params, dt, n_steps)
-    p, dt = canonical_with(params, dt)
+    p, dt = checked(params, dt, n_steps)
     return compiled_evaluate(p, model, dt, n_steps)
 
 

@@ -123,6 +123,13 @@ def canonical_with(params: Params, dt: Scalar) -> tuple[Params, Scalar]:
     return p, strong(dt, p.K0.dtype)
 
 
+def checked(params: Params, dt: Scalar, n_steps: int) -> tuple[Params, Scalar]:
+    """`canonical_with`, of what one scenario may have. Raises ParamsError."""
+    check_scalars(params)
+    check(params, dt, n_steps)
+    return canonical_with(params, dt)
+
+
 def step(
     params: Params, state: State, *, model: Model = Model(), dt: Scalar
 ) -> tuple[State, Sample]:
@@ -150,7 +157,7 @@ def control(
 
     Jitted; call it once every `dt` seconds with the position x (rad), velocity v (rad/s) and
     measured torque (N*m); `init(params, model).memory` is the first memory. `Params.period` must
-    be a multiple of `dt`. Of `params` only the controller's fields are read, not I, Kenv, gap ...
+    be a multiple of `dt`. Of `params` only the controller's own fields are read.
     """
     p, dt = canonical_with(params, dt)
     x, v, tau_measured = (strong(a, dt.dtype) for a in (x, v, tau_measured))
@@ -171,9 +178,7 @@ def rollout(params: Params, *, model: Model = Model(), dt: Scalar, n_steps: int)
 
     Raises ParamsError if a concrete value is out of bounds.
     """
-    check_scalars(params)
-    check(params, dt, n_steps)
-    p, dt = canonical_with(params, dt)
+    p, dt = checked(params, dt, n_steps)
     return compiled_rollout(p, model, dt, n_steps)
 
 
