@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from fic_jax import Metrics, Params, sweep, tune_for_throughput
+from fic_jax.stiffness import fastest_rate
 from sweeps.grid import Block, Grid
 from sweeps.provenance import IDENTITY, provenance
 from sweeps.spec import Sweep, SweepError
@@ -108,7 +109,7 @@ def warnings_of(plan: Sweep) -> Iterator[str]:
     p = plan.extremes()
     with np.errstate(all="ignore"):  # extremes may overflow; the comparison still stands
         overshoot = np.max(np.asarray(p.K0) * np.asarray(p.x0) / np.asarray(p.Fmax))
-        stiffest = _fastest_rate(p) * plan.time.dt
+        stiffest = fastest_rate(p) * plan.time.dt
     if overshoot > 1.0:
         yield (
             f"K0*x0 reaches {overshoot:.3g} times Fmax: there the force profile (eq. 1) is not "
@@ -121,20 +122,6 @@ def warnings_of(plan: Sweep) -> Iterator[str]:
             f"scenario: RK4 is {state} there (it resolves up to {ACCURATE:g}, diverges beyond "
             f"{STABLE:g}); dt = {plan.time.dt / stiffest:.2g} s would do"
         )
-
-
-def _fastest_rate(p: Params) -> float:
-    """Largest |eigenvalue| (1/s) of I s^2 + D s + K = 0 over the scenarios.
-
-    K is the environment's stiffness plus the steepest the controller gets: 2 K0 while converging
-    in the linear zone, or dF/b where the profile starts to saturate (eq. 1; where dF < 0 the
-    torque is cut off there and flat).
-    """
-    b = (np.asarray(p.xb) - p.x0) / p.S
-    steepest = np.maximum(2.0 * np.asarray(p.K0), (p.Fmax - np.asarray(p.K0) * p.x0) / b)
-    K, D, inertia = steepest + p.Kenv, np.asarray(p.Denv), np.asarray(p.I)
-    root = np.sqrt((D**2 - 4.0 * inertia * K).astype(complex))
-    return float(np.max(np.abs((D + root) / (2.0 * inertia))))
 
 
 def _cells(block: Block) -> int:

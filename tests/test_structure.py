@@ -16,6 +16,7 @@ ARROWS = {
     "fic_jax.profile": {"fic_jax.params"},
     "fic_jax.controller": {"fic_jax.params", "fic_jax.profile"},
     "fic_jax.exploration": {"fic_jax.params"},
+    "fic_jax.stiffness": {"fic_jax.params"},
     "fic_jax.environment": {"fic_jax.params"},
     "fic_jax.simulation": {
         f"fic_jax.{name}" for name in ("params", "controller", "exploration", "environment")
