@@ -1,6 +1,7 @@
 """fic_jax: the Fractal Impedance Controller (Tiseo et al. 2020), simulated by the million."""
 
 from fic_jax._version import __version__
+from fic_jax.accuracy import TRUST, evaluate_with_error, trusted
 from fic_jax.engine import sweep, tune_for_throughput
 from fic_jax.metrics import METRICS, Metrics, evaluate
 from fic_jax.params import CHOICES, QUANTITIES, Model, Params, ParamsError
@@ -11,6 +12,7 @@ __all__ = [
     "CHOICES",
     "METRICS",
     "QUANTITIES",
+    "TRUST",
     "Memory",
     "Metrics",
     "Model",
@@ -22,10 +24,12 @@ __all__ = [
     "control",
     "energy",
     "evaluate",
+    "evaluate_with_error",
     "force",
     "init",
     "rollout",
     "step",
     "sweep",
+    "trusted",
     "tune_for_throughput",
 ]

@@ -22,27 +22,36 @@ class Attractor:
     effort_slope: jax.Array  # N*m/rad, 2 F_K(e_M)/e_M
 
 
-def diverges(e: Scalar, v: Scalar, e_last: Scalar, model: Model) -> jax.Array:
-    """Whether the joint moves away from the reference (`Model.divergence`).
-
-    `e_last` is |e| at the previous decision (rad); only `error_rate` reads it.
-    """
-    if model.divergence == "error_rate":
-        return jnp.abs(e) > e_last
+def departs(e: Scalar, v: Scalar, model: Model) -> jax.Array:
+    """Whether the joint moves away from the reference, or rests, by its error and velocity."""
     away = e * v <= 0.0
     if model.divergence == "velocity_band":
         away = away | (jnp.abs(v) < REST_BAND)
     return away
 
 
-def latch(e: Scalar, v: Scalar, e_M: Scalar, e_last: Scalar, p: Params, model: Model) -> Attractor:
-    """Decide the branch and the peak error for the coming step (Algorithm 1, first half).
+def diverges(e: Scalar, v: Scalar, e_last: Scalar, model: Model) -> jax.Array:
+    """Whether the coming plant step diverges (`Model.divergence`).
 
-    While diverging e_M follows e; while converging it is held (`latched`), or follows an
-    error that is larger or of the other sign (`running`).
+    `e_last` is |e| at the previous decision (rad); only `error_rate` reads it.
     """
-    diverging = diverges(e, v, e_last, model)
-    follow = diverging
+    return jnp.abs(e) > e_last if model.divergence == "error_rate" else departs(e, v, model)
+
+
+def latch(
+    e: Scalar,
+    diverging: Scalar,
+    e_M: Scalar,
+    p: Params,
+    model: Model,
+    relatched: Scalar | None = None,
+) -> Attractor:
+    """The attractor of a branch that begins at the error `e` (Algorithm 1, first half).
+
+    While diverging, or where `relatched`, e_M follows e; while converging it is held (`latched`),
+    or follows an error that is larger or of the other sign (`running`).
+    """
+    follow = diverging if relatched is None else diverging | relatched
     if model.peak == "running":
         follow = follow | (jnp.abs(e) > jnp.abs(e_M)) | (e * e_M < 0.0)
     e_M = jnp.where(follow, e, e_M)
@@ -59,17 +68,21 @@ def _slopes(e_M: Scalar, p: Params) -> tuple[jax.Array, jax.Array]:
     return energy_slope, effort_slope
 
 
-def torque(e: Scalar, attractor: Attractor, p: Params, model: Model) -> jax.Array:
+def torque(
+    e: Scalar, attractor: Attractor, p: Params, model: Model, side: Scalar | None = None
+) -> jax.Array:
     """Torque towards the reference, N*m, limited to +-Fmax (Algorithm 1, second half).
 
     Diverging: F_K(e). Converging: slope * (e - e_M/2), with the slope 4 E_K(e_M)/e_M^2
     where |e| <= x0 and 2 F_K(e_M)/e_M beyond (`algorithm1`), or one of them throughout.
+    `side`, an error, says in place of e whether it is x0 or less.
     """
     if model.law == "effort":
         slope = attractor.effort_slope
     elif model.law == "energy":
         slope = attractor.energy_slope
     else:
-        slope = jnp.where(jnp.abs(e) <= p.x0, attractor.energy_slope, attractor.effort_slope)
+        inside = jnp.abs(e if side is None else side) <= p.x0
+        slope = jnp.where(inside, attractor.energy_slope, attractor.effort_slope)
     converging = slope * (e - 0.5 * attractor.e_M)
-    return jnp.clip(jnp.where(attractor.diverging, force(e, p), converging), -p.Fmax, p.Fmax)
+    return jnp.clip(jnp.where(attractor.diverging, force(e, p, side), converging), -p.Fmax, p.Fmax)

@@ -8,7 +8,7 @@ a scenario's bits independent of N, of its neighbours and of the chunking.
 import os
 from functools import lru_cache
 from importlib.metadata import version
-from typing import Any
+from typing import Any, Literal, overload
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +16,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
+from fic_jax.accuracy import evaluate_with_error
 from fic_jax.metrics import Metrics, evaluate
 from fic_jax.params import QUANTITIES, Model, Params, ParamsError, check
 
@@ -54,11 +55,37 @@ def tune_for_throughput(devices: int | None = None) -> None:
         os.environ["XLA_FLAGS"] = " ".join([present, *wanted]).strip()
 
 
-def sweep(batch: Params, *, model: Model = Model(), dt: float, n_steps: int) -> Metrics:
+@overload
+def sweep(
+    batch: Params,
+    *,
+    model: Model = ...,
+    dt: float,
+    n_steps: int,
+    error_estimate: Literal[False] = ...,
+) -> Metrics: ...
+
+
+@overload
+def sweep(
+    batch: Params, *, model: Model = ..., dt: float, n_steps: int, error_estimate: Literal[True]
+) -> tuple[Metrics, Metrics]: ...
+
+
+def sweep(
+    batch: Params,
+    *,
+    model: Model = Model(),
+    dt: float,
+    n_steps: int,
+    error_estimate: bool = False,
+) -> Metrics | tuple[Metrics, Metrics]:
     """Evaluate N scenarios: Params with [N] leaves (scalars broadcast) to Metrics of [N] arrays.
 
     All local devices share the work. The result of a scenario does not depend on N, on its
-    neighbours or on the number of devices, bit for bit. The dtype follows the leaves.
+    neighbours or on the number of devices, bit for bit. The dtype follows the leaves. With
+    `error_estimate` also the estimated error of every metric (`evaluate_with_error`), at several
+    times the cost.
 
     Raises ParamsError if a value is out of bounds or the leaves' shapes differ.
     """
@@ -69,11 +96,11 @@ def sweep(batch: Params, *, model: Model = Model(), dt: float, n_steps: int) -> 
     check(Params(*leaves), dt, n_steps)
     devices = tuple(jax.local_devices())
     capacity = len(devices) * BLOCKS * LANES
-    out = Metrics(**{name: np.empty(n, t) for name, t in _result_types(dtype).items()})
+    program, sharding, result = _compiled(model, n_steps, error_estimate, dtype, devices)
+    out = jax.tree.map(lambda leaf: np.empty(n, leaf.dtype), result)
     for start in range(0, n, capacity):
         part = slice(start, min(start + capacity, n))
         columns, blocks = _pack(leaves, part, dtype, len(devices))
-        program, sharding = _compiled(model, n_steps, devices)
         metrics = program(jax.device_put(columns, sharding), np.asarray(dt, dtype), blocks)
         _unpack(metrics, out, part, blocks)
     return out
@@ -85,13 +112,6 @@ def _length(leaves: list[np.ndarray]) -> int:
         shapes = {k: leaf.shape for k, leaf in zip(QUANTITIES, leaves, strict=True) if leaf.ndim}
         raise ParamsError("batch", shapes, "scalars and [N] arrays of one length")
     return min(lengths)[0]
-
-
-@lru_cache
-def _result_types(dtype: np.dtype) -> dict[str, np.dtype]:
-    example = Params(**{name: jax.ShapeDtypeStruct((), dtype) for name in QUANTITIES})
-    shapes = jax.eval_shape(lambda p: evaluate(p, dt=0.01, n_steps=1), example)
-    return {name: np.dtype(leaf.dtype) for name, leaf in vars(shapes).items()}
 
 
 def _pack(
@@ -113,33 +133,43 @@ def _pack(
     return columns, np.int32(blocks)
 
 
-def _unpack(metrics: Metrics, out: Metrics, part: slice, blocks: np.int32) -> None:
-    for name, values in vars(out).items():
-        computed = np.asarray(getattr(metrics, name))[:, :blocks].reshape(-1)
-        values[part] = computed[: part.stop - part.start]
+def _unpack(computed: Any, out: Any, part: slice, blocks: np.int32) -> None:
+    for source, values in zip(jax.tree.leaves(computed), jax.tree.leaves(out), strict=True):
+        values[part] = np.asarray(source)[:, :blocks].reshape(-1)[: part.stop - part.start]
 
 
 @lru_cache
-def _compiled(model: Model, n_steps: int, devices: tuple[jax.Device, ...]) -> Any:
+def _compiled(
+    model: Model,
+    n_steps: int,
+    error_estimate: bool,
+    dtype: np.dtype,
+    devices: tuple[jax.Device, ...],
+) -> tuple[Any, NamedSharding, Any]:
     """The program for one call, [field, device, block, lane] -> Metrics of [device, block, lane].
+
+    Also where its input lies, and the shapes of one block's result.
 
     The number of blocks is a value, not a shape: a ragged end runs the same code on fewer blocks.
     """
 
-    def scenario(column: jax.Array, dt: jax.Array) -> Metrics:
+    one = evaluate_with_error if error_estimate else evaluate
+
+    def scenario(column: jax.Array, dt: jax.Array) -> Any:
         params = Params(**dict(zip(QUANTITIES, column, strict=True)))
-        return evaluate(params, model=model, dt=dt, n_steps=n_steps)
+        return one(params, model=model, dt=dt, n_steps=n_steps)
 
     block = jax.vmap(scenario, in_axes=(1, None))
+    columns = jax.ShapeDtypeStruct((len(QUANTITIES), LANES), dtype)
+    result = jax.eval_shape(block, columns, jax.ShapeDtypeStruct((), dtype))
 
-    def on_device(columns: jax.Array, dt: jax.Array, blocks: jax.Array) -> Metrics:
+    def on_device(columns: jax.Array, dt: jax.Array, blocks: jax.Array) -> Any:
         columns = columns[:, 0]
 
-        def body(i: jax.Array, out: Metrics) -> Metrics:
+        def body(i: jax.Array, out: Any) -> Any:
             return jax.tree.map(lambda o, m: o.at[i].set(m), out, block(columns[:, i], dt))
 
-        shapes = jax.eval_shape(block, columns[:, 0], dt)
-        out = jax.tree.map(lambda s: jnp.zeros((BLOCKS, *s.shape), s.dtype), shapes)
+        out = jax.tree.map(lambda s: jnp.zeros((BLOCKS, *s.shape), s.dtype), result)
         out = jax.lax.fori_loop(0, blocks, body, out)
         return jax.tree.map(lambda o: o[None], out)
 
@@ -152,4 +182,4 @@ def _compiled(model: Model, n_steps: int, devices: tuple[jax.Device, ...]) -> An
         out_specs=P("device"),
         check_vma=False,
     )
-    return jax.jit(shares), NamedSharding(mesh, spec)
+    return jax.jit(shares), NamedSharding(mesh, spec), result

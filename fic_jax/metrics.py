@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from fic_jax.environment import in_contact
 from fic_jax.params import Model, Params, Scalar
-from fic_jax.simulation import Sample, checked, init, plant_step
+from fic_jax.simulation import Sample, checked, init, sampled
 
 SETTLING_BAND = 0.05  # of T_n: the torque has converged while it stays this close to it
 
@@ -153,22 +153,29 @@ def finish(acc: Accumulator, n_steps: int, dt: jax.Array) -> Metrics:
     )
 
 
-def evaluate(params: Params, *, model: Model = Model(), dt: Scalar, n_steps: int) -> Metrics:
+def evaluate(
+    params: Params, *, model: Model = Model(), dt: Scalar, n_steps: int, substeps: int = 1
+) -> Metrics:
     """Metrics of one scenario over `n_steps` plant steps of `dt` seconds, streamed.
+
+    With `substeps` the plant steps are that many times shorter, but the samples stay where they
+    are, every `dt`: what changes is the error of the integration and nothing else.
 
     Raises ParamsError if a concrete value is out of bounds.
     """
     p, dt = checked(params, dt, n_steps)
-    return compiled_evaluate(p, model, dt, n_steps)
+    return compiled_evaluate(p, model, dt, n_steps, substeps)
 
 
-@partial(jax.jit, static_argnames=("model", "n_steps"))
-def compiled_evaluate(p: Params, model: Model, dt: jax.Array, n_steps: int) -> Metrics:
+@partial(jax.jit, static_argnames=("model", "n_steps", "substeps"))
+def compiled_evaluate(
+    p: Params, model: Model, dt: jax.Array, n_steps: int, substeps: int = 1
+) -> Metrics:
     """`evaluate` on canonical numbers."""
 
     def body(carry: Any, k: jax.Array) -> tuple[Any, None]:
         state, acc = carry
-        state, sample = plant_step(p, state, model, dt)
+        state, sample = sampled(p, state, model, dt, substeps)
         return (state, update(acc, sample, k, n_steps, p, model)), None
 
     start = (init(p, model), empty(p))

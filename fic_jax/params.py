@@ -55,7 +55,7 @@ Divergence = Literal["velocity", "error_rate", "velocity_band"]
 Peak = Literal["latched", "running"]
 Feedback = Literal["interaction", "motor"]
 Contact = Literal["hard_stop", "damped_rebound", "welded"]
-Integrator = Literal["rk4"]
+Integrator = Literal["rk4", "rk4_events"]
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Model:
     peak: `latched` e_M is held while converging, `running` it follows a larger or opposite error.
     feedback: what Algorithm 2 measures, the `interaction` torque or the `motor` torque.
     contact: `hard_stop` (undamped rebound, never pulls), `damped_rebound`, `welded`.
-    integrator: `rk4`, Simulink's ode4.
+    integrator: `rk4`, Simulink's ode4; `rk4_events`, the same with switches located in the step.
 
     Raises ParamsError if a choice is not one of these.
     """
@@ -87,6 +87,10 @@ class Model:
             value = getattr(self, name)
             if value not in options:
                 raise ParamsError(name, repr(value), "one of " + ", ".join(options))
+
+    def with_events(self) -> "Model":
+        """The same reading, integrated with its switches located."""
+        return dataclasses.replace(self, integrator="rk4_events")
 
 
 CHOICES: dict[str, tuple[str, ...]] = {

@@ -14,7 +14,7 @@ def _saturation(e_abs: Scalar, p: Params) -> tuple[jax.Array, jax.Array]:
     return b, jnp.exp(-(inside - p.x0) / b)
 
 
-def force(e: Scalar, p: Params) -> jax.Array:
+def force(e: Scalar, p: Params, side: Scalar = None) -> jax.Array:
     """Torque of the nonlinear spring, N*m, odd and continuous in the error `e` (rad).
 
         F_K = sgn(e) * { K0 |e|                                  |e| < x0
@@ -23,13 +23,16 @@ def force(e: Scalar, p: Params) -> jax.Array:
 
     with dF = Fmax - K0 x0 and b = (xb - x0)/S (eq. 1). It is not limited to Fmax: where
     K0 x0 > Fmax the profile overshoots between x0 and xb, and the controller clips its torque.
+    `side`, an error, chooses between the linear and the other pieces in place of e: a step that
+    ends where |e| = x0 stays on one smooth piece.
     """
     e_abs = jnp.abs(e)
     _, decay = _saturation(e_abs, p)
     curved = (p.Fmax - p.K0 * p.x0) * (1.0 - decay) + p.K0 * p.x0
     magnitude = jnp.where(e_abs < p.xb, curved, p.Fmax)
     # The linear branch is odd by itself; sign() has no gradient and is only used beyond x0.
-    return jnp.where(e_abs < p.x0, p.K0 * e, jnp.sign(e) * magnitude)
+    linear = jnp.abs(e if side is None else side) < p.x0
+    return jnp.where(linear, p.K0 * e, jnp.sign(e) * magnitude)
 
 
 def energy(e: Scalar, p: Params) -> jax.Array:

@@ -1,14 +1,15 @@
 """One plant step of one scenario, and a rollout of many: the only place where time advances."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 
-from fic_jax.controller import Attractor, latch, torque
+from fic_jax.controller import Attractor, diverges, latch, torque
 from fic_jax.environment import interaction_torque
 from fic_jax.exploration import expected_reference, explore
+from fic_jax.integration import Motion, advance, advance_located
 from fic_jax.params import Model, Params, Scalar, canonical, check, check_scalars, strong
 
 
@@ -74,44 +75,57 @@ def decide(
     """Algorithm 2 if it ticks, then branch and peak error of Algorithm 1: what a step holds."""
     x_h, countdown = explore(memory.x_h, memory.countdown, x, measured, p, dt)
     e = x_h - x
-    attractor = latch(e, v, memory.e_M, memory.e_last, p, model)
+    diverging = diverges(e, v, memory.e_last, model)
+    attractor = latch(e, diverging, memory.e_M, p, model)
     return Memory(x_h, attractor.e_M, jnp.abs(e), countdown), attractor
 
 
-def advance(
-    p: Params, x: Scalar, v: Scalar, x_h: Scalar, attractor: Attractor, model: Model, dt: Scalar
-) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Classic RK4 (Simulink's ode4) over I x'' = torque - tau_env; also the work of the torque.
-
-    The law is evaluated at each stage's error; branch, e_M and x_h are held.
-    """
-
-    def rates(x: Scalar, v: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-        tau = torque(x_h - x, attractor, p, model)
-        return v, (tau - interaction_torque(x, v, p, model)) / p.I, tau * v
-
-    v1, a1, w1 = rates(x, v)
-    v2, a2, w2 = rates(x + 0.5 * dt * v1, v + 0.5 * dt * a1)
-    v3, a3, w3 = rates(x + 0.5 * dt * v2, v + 0.5 * dt * a2)
-    v4, a4, w4 = rates(x + dt * v3, v + dt * a3)
-    x = x + dt / 6.0 * (v1 + 2.0 * v2 + 2.0 * v3 + v4)
-    v = v + dt / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
-    work = dt / 6.0 * (w1 + 2.0 * w2 + 2.0 * w3 + w4)
-    return x, v, work
+def advanced(p: Params, state: State, model: Model, dt: Scalar) -> tuple[Memory, Attractor, Motion]:
+    """Explore, decide and move by one plant step, with the integrator of `model`."""
+    start = Motion(state.x, state.v, jnp.zeros_like(state.x))
+    if model.integrator == "rk4":
+        memory, attractor = decide(p, state.memory, state.x, state.v, state.measured, model, dt)
+        return memory, attractor, advance(p, start, memory.x_h, attractor, model, dt)
+    old = state.memory
+    x_h, countdown = explore(old.x_h, old.countdown, state.x, state.measured, p, dt)
+    motion, attractor = advance_located(p, start, x_h, old.e_M, old.e_last, model, dt)
+    return Memory(x_h, attractor.e_M, jnp.abs(x_h - motion.x), countdown), attractor, motion
 
 
 def plant_step(p: Params, state: State, model: Model, dt: Scalar) -> tuple[State, Sample]:
     """Explore, decide, advance, measure. `p` and `dt` are canonical (see `step`)."""
-    memory, attractor = decide(p, state.memory, state.x, state.v, state.measured, model, dt)
-    x, v, work = advance(p, state.x, state.v, memory.x_h, attractor, model, dt)
+    memory, attractor, motion = advanced(p, state, model, dt)
+    x, v = motion.x, motion.v
     e = memory.x_h - x
     tau = torque(e, attractor, p, model)
     tau_env = interaction_torque(x, v, p, model)
     measured = tau_env if model.feedback == "interaction" else tau
     k = state.k + 1
     t = k.astype(dt.dtype) * dt
-    sample = Sample(t, x, v, memory.x_h, e, attractor.e_M, attractor.diverging, tau, tau_env, work)
+    held = attractor.e_M, attractor.diverging
+    sample = Sample(t, x, v, memory.x_h, e, *held, tau, tau_env, motion.work)
     return State(k, x, v, measured, memory), sample
+
+
+def sampled(
+    p: Params, state: State, model: Model, dt: Scalar, substeps: int
+) -> tuple[State, Sample]:
+    """`substeps` plant steps, together `dt` long, and the sample at the end of the last."""
+    h = dt / substeps
+
+    def one(state: State) -> tuple[State, Sample]:
+        return plant_step(p, state, model, h)
+
+    if substeps == 1:
+        return one(state)
+
+    def body(carry: tuple[State, Scalar], _: None) -> tuple[tuple[State, Scalar], Sample]:
+        state, sample = one(carry[0])
+        return (state, carry[1] + sample.work), sample
+
+    carry = (state, jnp.zeros_like(state.x))
+    (state, work), samples = jax.lax.scan(body, carry, length=substeps, unroll=substeps <= 2)
+    return state, replace(jax.tree.map(lambda leaf: leaf[-1], samples), work=work)
 
 
 compiled_step = jax.jit(plant_step, static_argnames="model")

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from fic_jax import Model, Params, energy, force, rollout
-from fic_jax.controller import Attractor, latch, torque
+from fic_jax.controller import Attractor, departs, latch, torque
+
+TRUE = np.bool_(True)
 
 NO_TORQUE = {"K0": 1e-12, "Fmax": 1e-12, "Td": 1e-12}
 
@@ -119,8 +121,8 @@ def test_profile_is_continuous_at_x0_and_xb(sign):
 def test_torque_is_continuous_at_the_switch(law, peak):
     """At e = e_M the converging torque is F_K(e_M) ("perfectly superimposed", Fig. 2b)."""
     p, model = Params(), Model(law=law)
-    moving_away = latch(peak, 0.0, 0.0, 0.0, p, model)
-    coming_back = latch(peak, np.sign(peak) * 1e-9, moving_away.e_M, abs(peak), p, model)
+    moving_away = latch(peak, departs(peak, 0.0, model), 0.0, p, model)
+    coming_back = latch(peak, departs(peak, np.sign(peak) * 1e-9, model), moving_away.e_M, p, model)
     assert bool(moving_away.diverging)
     assert not bool(coming_back.diverging)
     there, back = (float(torque(peak, a, p, model)) for a in (moving_away, coming_back))
@@ -131,11 +133,11 @@ def test_torque_is_continuous_at_the_switch(law, peak):
 def test_the_older_law_jumps_at_the_switch():
     """`energy` beyond x0: the jump that Algorithm 1 was made to remove."""
     p, model = Params(), Model(law="energy")
-    away = latch(0.3, 0.0, 0.0, 0.0, p, model)
-    back = latch(0.3, 1e-9, away.e_M, 0.3, p, model)
+    away = latch(0.3, TRUE, 0.0, p, model)
+    back = latch(0.3, ~TRUE, away.e_M, p, model)
     assert torque(0.3, away, p, model) == pytest.approx(15.0)
     expected = float(2 * energy(0.3, p) / 0.3)  # above Fmax: the limit cuts it, unlike inside
     assert torque(0.3, back, p, model) == pytest.approx(min(expected, 15.0))
-    deep = latch(0.12, 0.0, 0.0, 0.0, p, model)
+    deep = latch(0.12, TRUE, 0.0, p, model)
     inside = Attractor(jnp.array(False), deep.e_M, deep.energy_slope, deep.effort_slope)
     assert torque(0.12, inside, p, model) == pytest.approx(float(2 * energy(0.12, p) / 0.12))

@@ -18,11 +18,14 @@ ARROWS = {
     "fic_jax.exploration": {"fic_jax.params"},
     "fic_jax.stiffness": {"fic_jax.params"},
     "fic_jax.environment": {"fic_jax.params"},
+    "fic_jax.integration": {f"fic_jax.{name}" for name in ("params", "controller", "environment")},
     "fic_jax.simulation": {
-        f"fic_jax.{name}" for name in ("params", "controller", "exploration", "environment")
+        f"fic_jax.{name}"
+        for name in ("params", "controller", "exploration", "environment", "integration")
     },
     "fic_jax.metrics": {f"fic_jax.{name}" for name in ("params", "environment", "simulation")},
-    "fic_jax.engine": {"fic_jax.params", "fic_jax.metrics"},
+    "fic_jax.accuracy": {f"fic_jax.{name}" for name in ("params", "metrics", "simulation")},
+    "fic_jax.engine": {f"fic_jax.{name}" for name in ("params", "metrics", "accuracy")},
 }
 HEAVY = {"jax", "numpy", "scipy", "xarray", "zarr", "pandas", "pydantic", "matplotlib", "fic_jax"}
 

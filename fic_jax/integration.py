@@ -1,0 +1,219 @@
+"""How x and v move through one plant step: classic RK4, with the switches inside it located or not.
+
+The law and the environment switch at v = 0, e = 0, |e| = x0 and at the contact. `advance` is
+Simulink's ode4: branch and e_M are held for the step, the rest switches at whichever stage meets
+it, and every switch costs an error of first order. `advance_located` cuts the step at the
+switches: each segment stays on one smooth piece of the closed loop, chosen by a point just ahead
+of its start, and ends where the step's own interpolant crosses to the next.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from fic_jax.controller import REST_BAND, Attractor, departs, latch, torque
+from fic_jax.environment import interaction_torque
+from fic_jax.params import Model, Params, Scalar
+
+# Segments of a located step: up to a switch and on to the end. A second switch in one step is met
+# late, at the next step, to first order; a third segment costs 1.5 times and gained nothing.
+SEGMENTS = 2
+# The point that chooses a segment's pieces lies this part of a plant step ahead of its start.
+AHEAD = 2.0**-10
+# Corrections to the place of a crossing, each of them doubles the correct digits: 2, 4, 8, 16.
+CORRECTIONS = 4
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Motion:
+    """Position and velocity, and the work the controller has done in this plant step."""
+
+    x: Scalar  # rad
+    v: Scalar  # rad/s
+    work: Scalar  # J
+
+
+Slopes = tuple[Motion, Motion, Motion, Motion]  # d/dt of the motion at RK4's four stages
+
+
+def stages(
+    p: Params,
+    start: Motion,
+    x_h: Scalar,
+    attractor: Attractor,
+    model: Model,
+    h: Scalar,
+    side: Motion | None = None,
+) -> Slopes:
+    """The four slopes of I x'' = torque - tau_env over `h` seconds; x_h and attractor are held.
+
+    `side`: the point that chooses the pieces of law and contact, by default each stage's own.
+    """
+
+    def slope(x: Scalar, v: Scalar) -> Motion:
+        x_v = None if side is None else (side.x, side.v)
+        tau = torque(x_h - x, attractor, p, model, None if side is None else x_h - side.x)
+        return Motion(v, (tau - interaction_torque(x, v, p, model, x_v)) / p.I, tau * v)
+
+    first = slope(start.x, start.v)
+    second = slope(start.x + 0.5 * h * first.x, start.v + 0.5 * h * first.v)
+    third = slope(start.x + 0.5 * h * second.x, start.v + 0.5 * h * second.v)
+    fourth = slope(start.x + h * third.x, start.v + h * third.v)
+    return first, second, third, fourth
+
+
+def end_of(start: Motion, slopes: Slopes, h: Scalar) -> Motion:
+    """Where the slopes lead in `h` seconds, to fourth order."""
+
+    def quadrature(y: Scalar, k1: Scalar, k2: Scalar, k3: Scalar, k4: Scalar) -> Scalar:
+        return y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+
+    return jax.tree.map(quadrature, start, *slopes)
+
+
+def advance(
+    p: Params, start: Motion, x_h: Scalar, attractor: Attractor, model: Model, dt: Scalar
+) -> Motion:
+    """Classic RK4 (Simulink's ode4); branch, e_M and x_h are held, all else is as each stage's."""
+    return end_of(start, stages(p, start, x_h, attractor, model, dt), dt)
+
+
+def advance_located(
+    p: Params, start: Motion, x_h: Scalar, e_M: Scalar, e_last: Scalar, model: Model, dt: Scalar
+) -> tuple[Motion, Attractor]:
+    """RK4 from switch to switch; `e_last` is |e| before this step's tick of Algorithm 2 (rad).
+
+    Also returns the attractor of the last segment, with e_M as the motion has left it.
+    """
+    grown = nowhere = jnp.zeros_like(start.x, bool)
+    if model.divergence == "error_rate":  # grown by the tick; within a step e v says so
+        grown = jnp.abs(x_h - start.x) > e_last
+    motion, left = start, dt
+    attractor, side = enter(p, motion, x_h, e_M, grown, model, dt)
+    for segment in range(SEGMENTS):
+        slopes = stages(p, motion, x_h, attractor, model, left, side)
+        if segment == SEGMENTS - 1:
+            motion = end_of(motion, slopes, left)
+            break
+        part, motion = until_switch(p, motion, x_h, slopes, model, left)
+        e_M = jnp.where(attractor.diverging, x_h - motion.x, attractor.e_M)
+        left = jnp.where(part < 1.0, (1.0 - part) * left, 0.0)
+        entered = enter(p, motion, x_h, e_M, nowhere, model, dt)
+        attractor, side = _where(left > 0.0, entered, (attractor, side))
+    e_M = jnp.where(attractor.diverging, x_h - motion.x, attractor.e_M)
+    return motion, replace(attractor, e_M=e_M)
+
+
+def enter(
+    p: Params, at: Motion, x_h: Scalar, e_M: Scalar, grown: Scalar, model: Model, dt: Scalar
+) -> tuple[Attractor, Motion]:
+    """The attractor of the segment that starts at `at`, and the point ahead that chooses pieces.
+
+    On a switch both sides are possible, and the acceleration says which: that of the diverging
+    branch, which Algorithm 1 takes at rest.
+    """
+    e = x_h - at.x
+    away = latch(e, jnp.ones_like(grown), e_M, p, model)
+    net = torque(e, away, p, model) - interaction_torque(at.x, at.v, p, model)
+    soon = AHEAD * dt
+    v = at.v + soon * net / p.I
+    side = Motion(at.x + 0.5 * soon * (at.v + v), v, at.work)
+    diverging = departs(x_h - side.x, side.v, model)
+    # At rest e_M follows e on whichever side the motion goes on.
+    relatched = grown | departs(e, at.v, model)
+    return latch(e, diverging, e_M, p, model, relatched), side
+
+
+def until_switch(
+    p: Params, start: Motion, x_h: Scalar, slopes: Slopes, model: Model, h: Scalar
+) -> tuple[Scalar, Motion]:
+    """Follow a segment to its first switch: the part of `h` it takes, 1 if there is none.
+
+    First v, as x only turns where v is 0: until then each x comes but once.
+    """
+    path = Path.of(start, slopes, h)
+    end = end_of(start, slopes, h)
+    v_next, stops = _first(_speed_levels(model), start.v, end.v)
+    turn = jnp.where(stops, path.part_at("v", v_next - start.v, end.v - start.v, 1.0), 1.0)
+    farthest = jnp.where(stops, path.at(turn).x, end.x)
+    x_next, passes = _first(_position_levels(p, x_h, model), start.x, farthest)
+    pass_ = path.part_at("x", x_next - start.x, farthest - start.x, turn)
+    part = jnp.where(passes, pass_, turn)
+    there = path.at(part)
+    # On the switch itself, so that it isn't found again from the other side.
+    x = jnp.where(passes, x_next, jnp.where(stops, there.x, end.x))
+    v = jnp.where(passes, there.v, jnp.where(stops, v_next, end.v))
+    return part, Motion(x, v, jnp.where(passes | stops, there.work, end.work))
+
+
+def _speed_levels(model: Model) -> tuple[float, ...]:
+    return (-REST_BAND, 0.0, REST_BAND) if model.divergence == "velocity_band" else (0.0,)
+
+
+def _position_levels(p: Params, x_h: Scalar, model: Model) -> tuple[Scalar, ...]:
+    levels = (x_h, x_h - p.x0, x_h + p.x0)
+    return levels if model.contact == "welded" else (*levels, p.gap)
+
+
+def _first(levels: tuple[Scalar, ...], start: Scalar, end: Scalar) -> tuple[Scalar, Scalar]:
+    """The first of the levels strictly between start and end, and whether there is one."""
+    first, found = end, jnp.zeros_like(start, bool)
+    for level in levels:
+        passed = ((level > start) & (level < first)) | ((level < start) & (level > first))
+        first, found = jnp.where(passed, level, first), found | passed
+    return first, found
+
+
+@dataclass(frozen=True)
+class Path:
+    """RK4's own interpolant of third order: the motion at a part of the step, a cubic."""
+
+    start: Motion
+    linear: Motion
+    square: Motion
+    cubic: Motion
+
+    @classmethod
+    def of(cls, start: Motion, slopes: Slopes, h: Scalar) -> "Path":
+        """Hairer, Norsett, Wanner 1993, II.6: continuous extension of the classic method."""
+        k1, k2, k3, k4 = slopes
+        square = jax.tree.map(lambda a, b, c, d: h * (b + c - 1.5 * a - 0.5 * d), k1, k2, k3, k4)
+        cubic = jax.tree.map(lambda a, b, c, d: h * (a - b - c + d) / 1.5, k1, k2, k3, k4)
+        return cls(start, jax.tree.map(lambda a: h * a, k1), square, cubic)
+
+    def at(self, part: Scalar) -> Motion:
+        """The motion at a part of the step."""
+
+        def value(y: Scalar, a: Scalar, b: Scalar, c: Scalar) -> Scalar:
+            return y + part * (a + part * (b + part * c))
+
+        return jax.tree.map(value, self.start, self.linear, self.square, self.cubic)
+
+    def part_at(self, name: str, rise: Scalar, rise_to: Scalar, until: Scalar) -> jax.Array:
+        """The part of the step, up to `until`, at which coordinate `name` has risen by `rise`.
+
+        Newton's corrections from the chord to `rise_to`, kept in bounds. Only the last one is
+        differentiated: there it is the implicit function theorem.
+        """
+        a, b, c = (getattr(k, name) for k in (self.linear, self.square, self.cubic))
+
+        def corrected(part: Scalar, a: Scalar, b: Scalar, c: Scalar, rise: Scalar) -> jax.Array:
+            slope = jax.lax.stop_gradient(a + part * (2.0 * b + part * 3.0 * c))
+            miss = part * (a + part * (b + part * c)) - rise
+            flat = slope == 0.0
+            return part - jnp.where(flat, 0.0, miss / jnp.where(flat, 1.0, slope))
+
+        fixed = jax.lax.stop_gradient((a, b, c, rise))
+        level = rise_to == 0.0
+        until = jax.lax.stop_gradient(until)
+        part = until * jax.lax.stop_gradient(rise / jnp.where(level, 1.0, rise_to))
+        for _ in range(CORRECTIONS - 1):
+            part = jnp.clip(corrected(part, *fixed), 0.0, until)
+        return jnp.clip(corrected(part, a, b, c, rise), 0.0, until)
+
+
+def _where(condition: Scalar, this: Any, other: Any) -> Any:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), this, other)
