@@ -1,0 +1,1 @@
+"""What the sweep engine is measured against."""

@@ -1,0 +1,89 @@
+"""The benchmark's peers compute what the engine computes, or their rates would mean nothing."""
+
+from functools import lru_cache
+from importlib import import_module
+
+import jax
+import numpy as np
+import pytest
+
+import fic_jax
+from benchmarks.peers import Missing
+from fic_jax import METRICS, Metrics, Params
+from sweeps.bench import DT, _scenarios
+
+STEPS, N = 300, 512
+# What the seeded scenarios leave at its default.
+SPECIAL = (
+    Params(period=3 * DT),
+    Params(Td=-5.0, gap=-0.01, xd=0.001),
+    Params(gap=0.5, xd=0.6),
+    Params(K0=1000.0),
+    Params(x_init=-0.3, v_init=1.0, S=200.0),
+)
+PEERS = ("cpp", "numba_twin", "diffrax_twin")
+
+
+def _batch(dtype: type) -> Params:
+    """The special scenarios, one that leaves the finite numbers, then N seeded ones."""
+    overflowing = Params(v_init=float(np.finfo(dtype).max) / 4)
+
+    def column(*leaves: float | np.ndarray) -> np.ndarray:
+        return np.concatenate([*map(np.atleast_1d, leaves[:-1]), np.broadcast_to(leaves[-1], N)])
+
+    return jax.tree.map(
+        lambda *leaves: column(*leaves).astype(dtype), *SPECIAL, overflowing, _scenarios(N)
+    )
+
+
+@lru_cache
+def _expected(dtype: type) -> Metrics:
+    return fic_jax.sweep(_batch(dtype), dt=DT, n_steps=STEPS)
+
+
+def _difference(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
+    """Relative difference; equal infinities and NaN agree."""
+    ours, theirs = ours.astype(float), theirs.astype(float)
+    same = (ours == theirs) | (np.isnan(ours) & np.isnan(theirs))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        apart = np.abs(ours - theirs) / np.maximum(np.abs(ours), 1e-30)
+    return np.where(same, 0.0, np.where(np.isfinite(apart), apart, np.inf))
+
+
+@lru_cache
+def _got(peer: str, dtype: type) -> Metrics:
+    try:
+        run = import_module(f"benchmarks.peers.{peer}").prepare(_batch(dtype), DT, STEPS)
+    except Missing as reason:
+        pytest.skip(str(reason))
+    return run()
+
+
+# Peers round elsewhere (reciprocals, fused products, another exponential). Settled motions forget a
+# rounding: the median is some units of the last place (1e-16, 6e-8). Motions that graze a switch
+# amplify it, in a few scenarios up to a different branch: hence bounds for a share of them only.
+BOUNDS = {np.float64: (1e-13, 1e-9), np.float32: (3e-6, 1e-3)}  # median, 95 of 100
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize("peer", PEERS)
+def test_a_peer_agrees_with_the_engine(peer: str, dtype: type) -> None:
+    expected, got = _expected(dtype), _got(peer, dtype)
+    median, most = BOUNDS[dtype]
+    for name in METRICS:
+        ours, theirs = getattr(expected, name), getattr(got, name)
+        assert theirs.dtype == ours.dtype, name
+        apart = _difference(ours, theirs)
+        assert np.median(apart) <= median, name
+        assert np.quantile(apart, 0.95) <= most, name
+    assert not expected.finite[len(SPECIAL)] and expected.finite.sum() == len(expected.finite) - 1
+    assert np.array_equal(expected.finite, got.finite)
+
+
+@pytest.mark.parametrize("peer", PEERS)
+def test_the_special_scenarios_agree_one_by_one(peer: str) -> None:
+    expected, got = _expected(np.float64), _got(peer, np.float64)
+    special = len(SPECIAL)
+    for name in METRICS:
+        apart = _difference(getattr(expected, name)[:special], getattr(got, name)[:special])
+        assert apart.max() <= 1e-9, (name, apart)
