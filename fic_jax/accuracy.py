@@ -28,9 +28,11 @@ def evaluate_with_error(
     return estimated(p, model, dt, n_steps)
 
 
-def estimated(p: Params, model: Model, dt: Scalar, n_steps: int) -> tuple[Metrics, Metrics]:
-    """`evaluate_with_error` on canonical numbers."""
-    metrics = compiled_evaluate(p, model, dt, n_steps)
+def estimated(
+    p: Params, model: Model, dt: Scalar, n_steps: int, unroll: int = 1
+) -> tuple[Metrics, Metrics]:
+    """`evaluate_with_error` on canonical numbers; `unroll` as in `compiled_evaluate`."""
+    metrics = compiled_evaluate(p, model, dt, n_steps, unroll=unroll)
     companion = compiled_evaluate(p, model.with_events(), dt, n_steps, substeps=2)
     finite = metrics.finite & companion.finite
 

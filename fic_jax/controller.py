@@ -18,6 +18,7 @@ class Attractor:
 
     diverging: jax.Array  # bool
     e_M: jax.Array  # rad, signed peak error
+    F_M: jax.Array  # N*m, F_K(e_M)
     energy_slope: jax.Array  # N*m/rad, 4 E_K(e_M)/e_M^2
     effort_slope: jax.Array  # N*m/rad, 2 F_K(e_M)/e_M
 
@@ -55,27 +56,29 @@ def latch(
     if model.peak == "running":
         follow = follow | (jnp.abs(e) > jnp.abs(e_M)) | (e * e_M < 0.0)
     e_M = jnp.where(follow, e, e_M)
-    return Attractor(diverging, e_M, *_slopes(e_M, p))
-
-
-def _slopes(e_M: Scalar, p: Params) -> tuple[jax.Array, jax.Array]:
-    """Both slopes of Algorithm 1. In the linear zone both are 2 K0, their limit at e_M = 0."""
-    peak = jnp.abs(e_M)
-    linear = peak <= p.x0
-    safe = jnp.where(linear, p.x0, peak)  # keeps 0/0 out of the branch not taken, and its gradient
-    energy_slope = jnp.where(linear, 2.0 * p.K0, 4.0 * energy(safe, p) / safe**2)
-    effort_slope = jnp.where(linear, 2.0 * p.K0, 2.0 * force(safe, p) / safe)
-    return energy_slope, effort_slope
+    F_M = force(e_M, p)
+    # In the linear zone both slopes are 2 K0, their limit at e_M = 0; a safe divisor keeps 0/0 out
+    # of the branch not taken, and out of its gradient.
+    linear = jnp.abs(e_M) <= p.x0
+    per_e_M = 1.0 / jnp.where(linear, p.x0, e_M)
+    energy_slope = jnp.where(linear, 2.0 * p.K0, 4.0 * energy(e_M, p) * per_e_M**2)
+    effort_slope = jnp.where(linear, 2.0 * p.K0, 2.0 * F_M * per_e_M)
+    return Attractor(diverging, e_M, F_M, energy_slope, effort_slope)
 
 
 def torque(
-    e: Scalar, attractor: Attractor, p: Params, model: Model, side: Scalar | None = None
+    e: Scalar,
+    attractor: Attractor,
+    p: Params,
+    model: Model,
+    side: Scalar | None = None,
+    F_K: Scalar | None = None,
 ) -> jax.Array:
     """Torque towards the reference, N*m, limited to +-Fmax (Algorithm 1, second half).
 
     Diverging: F_K(e). Converging: slope * (e - e_M/2), with the slope 4 E_K(e_M)/e_M^2
     where |e| <= x0 and 2 F_K(e_M)/e_M beyond (`algorithm1`), or one of them throughout.
-    `side`, an error, says in place of e whether it is x0 or less.
+    `side`, an error, says in place of e whether it is x0 or less; `F_K` is F_K(e), if known.
     """
     if model.law == "effort":
         slope = attractor.effort_slope
@@ -85,4 +88,7 @@ def torque(
         inside = jnp.abs(e if side is None else side) <= p.x0
         slope = jnp.where(inside, attractor.energy_slope, attractor.effort_slope)
     converging = slope * (e - 0.5 * attractor.e_M)
-    return jnp.clip(jnp.where(attractor.diverging, force(e, p, side), converging), -p.Fmax, p.Fmax)
+    F_K = force(e, p, side) if F_K is None else F_K
+    tau = jnp.where(attractor.diverging, F_K, converging)
+    # where, not clip: XLA's minimum and maximum look for NaN first, which costs twice as much
+    return jnp.where(tau > p.Fmax, p.Fmax, jnp.where(tau < -p.Fmax, -p.Fmax, tau))

@@ -53,12 +53,16 @@ def stages(
     `side`: the point that chooses the pieces of law and contact, by default each stage's own.
     """
 
-    def slope(x: Scalar, v: Scalar) -> Motion:
-        x_v = None if side is None else (side.x, side.v)
-        tau = torque(x_h - x, attractor, p, model, None if side is None else x_h - side.x)
-        return Motion(v, (tau - interaction_torque(x, v, p, model, x_v)) / p.I, tau * v)
+    per_I = 1.0 / p.I  # the same in all steps, unlike a quotient of what changes
 
-    first = slope(start.x, start.v)
+    def slope(x: Scalar, v: Scalar, F_K: Scalar | None = None) -> Motion:
+        x_v = None if side is None else (side.x, side.v)
+        e_side = None if side is None else x_h - side.x
+        tau = torque(x_h - x, attractor, p, model, e_side, F_K)
+        return Motion(v, (tau - interaction_torque(x, v, p, model, x_v)) * per_I, tau * v)
+
+    # Where the attractor diverges its e_M is the error here: one exponential less.
+    first = slope(start.x, start.v, attractor.F_M)
     second = slope(start.x + 0.5 * h * first.x, start.v + 0.5 * h * first.v)
     third = slope(start.x + 0.5 * h * second.x, start.v + 0.5 * h * second.v)
     fourth = slope(start.x + h * third.x, start.v + h * third.v)

@@ -79,8 +79,6 @@ class Accumulator:
     switches: Scalar
     diverging: Scalar  # branch of the last sample
     work: Sum  # J
-    x: Scalar  # rad, of the last sample: a motion that leaves the finite numbers never returns
-    v: Scalar  # rad/s
 
 
 def reachable(p: Params) -> jax.Array:
@@ -94,7 +92,7 @@ def empty(p: Params) -> Accumulator:
     yes = jnp.ones_like(p.Td, bool)
     # ratio starts at 0: an overshoot is floored at 0 and T/T_n never needs to be negative.
     sum_ = Sum(zero, zero)
-    return Accumulator(zero, sum_, sum_, none, zero, zero, none, none, none, yes, sum_, zero, zero)
+    return Accumulator(zero, sum_, sum_, none, zero, zero, none, none, none, yes, sum_)
 
 
 def _count(total: Scalar, event: Scalar) -> jax.Array:
@@ -105,9 +103,9 @@ def update(
     acc: Accumulator, sample: Sample, k: Scalar, n_steps: int, p: Params, model: Model
 ) -> Accumulator:
     """Add sample k (counted from 0) of `n_steps`."""
-    T_n = reachable(p)
-    eps = (sample.tau_env - p.Td) / T_n
-    ratio = sample.tau_env / T_n
+    per_T_n = 1.0 / reachable(p)
+    eps = (sample.tau_env - p.Td) * per_T_n
+    ratio = sample.tau_env * per_T_n
     tail_begins = k == n_steps // 2
     touching = in_contact(sample.x, p, model)
     switched = (sample.diverging != acc.diverging) & (k > 0)
@@ -124,13 +122,14 @@ def update(
         switches=_count(acc.switches, switched),
         diverging=sample.diverging,
         work=acc.work.plus(sample.work),
-        x=sample.x,
-        v=sample.v,
     )
 
 
-def finish(acc: Accumulator, n_steps: int, dt: jax.Array) -> Metrics:
-    """Turn sums into metrics; sample k lies at (k + 1) dt, a time that never comes is inf."""
+def finish(acc: Accumulator, x: Scalar, v: Scalar, n_steps: int, dt: jax.Array) -> Metrics:
+    """Turn sums into metrics; sample k lies at (k + 1) dt, a time that never comes is inf.
+
+    `x`, `v` are those of the last sample: a motion that leaves the finite numbers never returns.
+    """
 
     def seconds(samples: Scalar) -> jax.Array:
         return samples.astype(dt.dtype) * dt
@@ -149,7 +148,7 @@ def finish(acc: Accumulator, n_steps: int, dt: jax.Array) -> Metrics:
         contact_lost=seconds(lost),
         mode_switches=acc.switches,
         energy_in=acc.work.total,
-        finite=jnp.isfinite(jnp.stack([acc.x, acc.v, nmse, acc.work.total])).all(axis=0),
+        finite=jnp.isfinite(jnp.stack([x, v, nmse, acc.work.total])).all(axis=0),
     )
 
 
@@ -167,11 +166,11 @@ def evaluate(
     return compiled_evaluate(p, model, dt, n_steps, substeps)
 
 
-@partial(jax.jit, static_argnames=("model", "n_steps", "substeps"))
+@partial(jax.jit, static_argnames=("model", "n_steps", "substeps", "unroll"))
 def compiled_evaluate(
-    p: Params, model: Model, dt: jax.Array, n_steps: int, substeps: int = 1
+    p: Params, model: Model, dt: jax.Array, n_steps: int, substeps: int = 1, unroll: int = 1
 ) -> Metrics:
-    """`evaluate` on canonical numbers."""
+    """`evaluate` on canonical numbers; `unroll` samples are compiled as one turn of the loop."""
 
     def body(carry: Any, k: jax.Array) -> tuple[Any, None]:
         state, acc = carry
@@ -179,5 +178,6 @@ def compiled_evaluate(
         return (state, update(acc, sample, k, n_steps, p, model)), None
 
     start = (init(p, model), empty(p))
-    (_, acc), _ = jax.lax.scan(body, start, jnp.arange(n_steps, dtype=jnp.int32))
-    return finish(acc, n_steps, dt)
+    steps = jnp.arange(n_steps, dtype=jnp.int32)
+    (state, acc), _ = jax.lax.scan(body, start, steps, unroll=unroll)
+    return finish(acc, state.x, state.v, n_steps, dt)

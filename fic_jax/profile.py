@@ -6,12 +6,11 @@ import jax.numpy as jnp
 from fic_jax.params import Params, Scalar
 
 
-def _saturation(e_abs: Scalar, p: Params) -> tuple[jax.Array, jax.Array]:
-    """`b` (rad) and exp(-(|e| - x0)/b), held at its ends outside x0..xb."""
-    b = (p.xb - p.x0) / p.S
-    # where, not clip: at |e| = x0 a clip would pass on half the gradient only
-    inside = jnp.where(e_abs < p.x0, p.x0, jnp.where(e_abs < p.xb, e_abs, p.xb))
-    return b, jnp.exp(-(inside - p.x0) / b)
+def _decay(e_abs: Scalar, p: Params) -> jax.Array:
+    """exp(-(|e| - x0)/b), 1 below x0."""
+    # where, not minimum: at |e| = x0 that would pass on half the gradient only
+    short_of = jnp.where(e_abs < p.x0, 0.0, p.x0 - e_abs)
+    return jnp.exp(short_of * (p.S / (p.xb - p.x0)))
 
 
 def force(e: Scalar, p: Params, side: Scalar = None) -> jax.Array:
@@ -27,12 +26,12 @@ def force(e: Scalar, p: Params, side: Scalar = None) -> jax.Array:
     ends where |e| = x0 stays on one smooth piece.
     """
     e_abs = jnp.abs(e)
-    _, decay = _saturation(e_abs, p)
-    curved = (p.Fmax - p.K0 * p.x0) * (1.0 - decay) + p.K0 * p.x0
-    magnitude = jnp.where(e_abs < p.xb, curved, p.Fmax)
-    # The linear branch is odd by itself; sign() has no gradient and is only used beyond x0.
-    linear = jnp.abs(e if side is None else side) < p.x0
-    return jnp.where(linear, p.K0 * e, jnp.sign(e) * magnitude)
+    dF = p.Fmax - p.K0 * p.x0
+    # written so that NaN stays NaN
+    magnitude = p.Fmax - jnp.where(e_abs >= p.xb, 0.0, dF * _decay(e_abs, p))
+    # The linear branch is odd by itself; |e| has no gradient at 0 and is only used beyond x0.
+    linear = jnp.abs(e if side is None else side) <= p.x0
+    return jnp.where(linear, p.K0 * e, jnp.where(e < 0.0, -magnitude, magnitude))
 
 
 def energy(e: Scalar, p: Params) -> jax.Array:
@@ -44,7 +43,8 @@ def energy(e: Scalar, p: Params) -> jax.Array:
     with m = min(|e|, xb). This is the integral of eq. 1; the printed eq. 2 has stray signs.
     """
     e_abs = jnp.abs(e)
-    b, decay = _saturation(e_abs, p)
+    b = (p.xb - p.x0) / p.S
     dF = p.Fmax - p.K0 * p.x0
+    decay = jnp.where(e_abs < p.xb, _decay(e_abs, p), jnp.exp(-p.S))
     beyond = p.Fmax * (e_abs - p.x0) + 0.5 * p.K0 * p.x0**2 - b * dF * (1.0 - decay)
     return jnp.where(e_abs < p.x0, 0.5 * p.K0 * e**2, beyond)

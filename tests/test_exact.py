@@ -1,12 +1,14 @@
 """Against exact solutions of the plant and of the attractor."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from fic_jax import Model, Params, energy, force, rollout
-from fic_jax.controller import Attractor, departs, latch, torque
+from fic_jax.controller import departs, latch, torque
 
 TRUE = np.bool_(True)
 
@@ -139,5 +141,5 @@ def test_the_older_law_jumps_at_the_switch():
     expected = float(2 * energy(0.3, p) / 0.3)  # above Fmax: the limit cuts it, unlike inside
     assert torque(0.3, back, p, model) == pytest.approx(min(expected, 15.0))
     deep = latch(0.12, TRUE, 0.0, p, model)
-    inside = Attractor(jnp.array(False), deep.e_M, deep.energy_slope, deep.effort_slope)
+    inside = replace(deep, diverging=jnp.array(False))
     assert torque(0.12, inside, p, model) == pytest.approx(float(2 * energy(0.12, p) / 0.12))

@@ -41,7 +41,8 @@ def reduced(batch, samples, contact):
             return update(acc, *step, N_STEPS, p, model), None
 
         steps = (samples, jnp.arange(N_STEPS, dtype=jnp.int32))
-        return finish(jax.lax.scan(add, empty(p), steps)[0], N_STEPS, jnp.float64(DT))
+        acc = jax.lax.scan(add, empty(p), steps)[0]
+        return finish(acc, samples.x[-1], samples.v[-1], N_STEPS, jnp.float64(DT))
 
     return jax.vmap(one)(batch, samples)
 

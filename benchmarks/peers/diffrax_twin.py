@@ -96,5 +96,5 @@ def _evaluate(p: Params, dt: jax.Array, n_steps: int, solver: Any, term: Any) ->
         return (state, update(acc, sample, k, n_steps, p, MODEL)), None
 
     first = (init(p, MODEL), empty(p))
-    (_, acc), _ = jax.lax.scan(body, first, jnp.arange(n_steps, dtype=jnp.int32))
-    return finish(acc, n_steps, dt)
+    (state, acc), _ = jax.lax.scan(body, first, jnp.arange(n_steps, dtype=jnp.int32))
+    return finish(acc, state.x, state.v, n_steps, dt)
