@@ -22,8 +22,10 @@ from fic_jax.params import Model, Params, Scalar
 SEGMENTS = 2
 # The point that chooses a segment's pieces lies this part of a plant step ahead of its start.
 AHEAD = 2.0**-10
-# Corrections to the place of a crossing, each of them doubles the correct digits: 2, 4, 8, 16.
-CORRECTIONS = 4
+# Corrections to the place of a crossing: each doubles the correct digits, from some two of them.
+CORRECTIONS = {4: 2, 8: 3}  # by the bytes of a number
+# Where a motion meets the band at rest: within it, so that it counts as at rest until it is out.
+BAND_EDGE = (1.0 - 1e-6) * REST_BAND
 
 
 @jax.tree_util.register_dataclass
@@ -116,19 +118,18 @@ def enter(
 ) -> tuple[Attractor, Motion]:
     """The attractor of the segment that starts at `at`, and the point ahead that chooses pieces.
 
-    On a switch both sides are possible, and the acceleration says which: that of the diverging
-    branch, which Algorithm 1 takes at rest.
+    At rest both branches are possible. Algorithm 1 begins to diverge there, with e_M at e, and
+    the acceleration that gives says which way the joint goes.
     """
     e = x_h - at.x
-    away = latch(e, jnp.ones_like(grown), e_M, p, model)
-    net = torque(e, away, p, model) - interaction_torque(at.x, at.v, p, model)
+    attractor = latch(e, departs(e, at.v, model), e_M, p, model, grown)
+    net = torque(e, attractor, p, model, F_K=attractor.F_M)
+    net = net - interaction_torque(at.x, at.v, p, model)
     soon = AHEAD * dt
-    v = at.v + soon * net / p.I
-    side = Motion(at.x + 0.5 * soon * (at.v + v), v, at.work)
-    diverging = departs(x_h - side.x, side.v, model)
-    # At rest e_M follows e on whichever side the motion goes on.
-    relatched = grown | departs(e, at.v, model)
-    return latch(e, diverging, e_M, p, model, relatched), side
+    v = at.v + soon * net * (1.0 / p.I)
+    ahead = Motion(at.x + 0.5 * soon * (at.v + v), v, at.work)
+    diverging = attractor.diverging & departs(x_h - ahead.x, v, model)
+    return replace(attractor, diverging=diverging), ahead
 
 
 def until_switch(
@@ -154,7 +155,7 @@ def until_switch(
 
 
 def _speed_levels(model: Model) -> tuple[float, ...]:
-    return (-REST_BAND, 0.0, REST_BAND) if model.divergence == "velocity_band" else (0.0,)
+    return (-BAND_EDGE, 0.0, BAND_EDGE) if model.divergence == "velocity_band" else (0.0,)
 
 
 def _position_levels(p: Params, x_h: Scalar, model: Model) -> tuple[Scalar, ...]:
@@ -214,7 +215,7 @@ class Path:
         level = rise_to == 0.0
         until = jax.lax.stop_gradient(until)
         part = until * jax.lax.stop_gradient(rise / jnp.where(level, 1.0, rise_to))
-        for _ in range(CORRECTIONS - 1):
+        for _ in range(CORRECTIONS[part.dtype.itemsize] - 1):
             part = jnp.clip(corrected(part, *fixed), 0.0, until)
         return jnp.clip(corrected(part, a, b, c, rise), 0.0, until)
 
