@@ -5,7 +5,7 @@
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,6 @@ from matplotlib.axis import XAxis
 from matplotlib.collections import QuadMesh
 from matplotlib.colors import Colormap, LogNorm, Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch, PathPatch
-from matplotlib.path import Path
 from matplotlib.ticker import (
     FuncFormatter,
     LogLocator,
@@ -28,20 +26,19 @@ from matplotlib.ticker import (
 )
 from numpy.typing import NDArray
 
-from figures import style
+from figures import hatch, style
 from figures.planes import Axis, PlotError, Slice, select
+from sweeps.store import ERRORS
 
-LOG_METRICS = ("nmse", "nmse_tail")  # decades are what the paper argues with
+LOG_METRICS = ("nmse", "nmse_tail", *ERRORS)  # decades are what the paper argues with
 LINEAR_METRICS = ("convergence_time", "contact_time")
 SIGNED_METRICS = ("steady_error",)
-INFINITE = {"convergence_time": "never converges", "contact_time": "never touches"}
 
 FEW_TICKS = 6  # up to here every value of an axis is its own tick
 FEW_CELLS = 10  # up to here per side the numbers are printed
 MAX_DECADES = 8  # below this nmse is float32 rounding, and colours would be spent on it
 SMALLEST_NUMBER = 4.7  # point; smaller figures in cells are noise in print
 LABEL_ROOM, BAR_ROOM, PANEL_HEIGHT = 38, 50, 125  # points taken by labels, colour bar, one panel
-HATCH_CELLS = 400  # per side; finer hatch outlines are below one printed dot
 
 
 def plot(
@@ -74,9 +71,9 @@ def panels(items: Sequence[tuple[str, Slice]]) -> Figure:
     head, titles = _titles(items, 72 * width - 10, room + 8)
     columns = int(width / 1.65)
     with rc_context(style.RC):
-        handles = _legend_handles(planes)
+        entries = hatch.legend_entries(planes)
         lines = head.count("\n") + max(text.count("\n") for text in titles)
-        height = 2.55 + 0.13 * lines + 0.15 * math.ceil(len(handles) / columns)
+        height = 2.55 + 0.13 * lines + 0.15 * math.ceil(len(entries) / columns)
         fig = Figure(figsize=(width, height))
         grid = list(fig.subplots(1, len(items), sharey=shared, squeeze=False)[0])
         cmap, norm, pool = _colours(planes)
@@ -89,8 +86,8 @@ def panels(items: Sequence[tuple[str, Slice]]) -> Figure:
         fig.suptitle(head)
         if pool.size:
             _colour_bar(fig, mesh, grid, planes[0].label, pool)
-        if handles:
-            _legend(fig, handles, columns, len(planes))
+        if entries:
+            hatch.legend(fig, entries, columns, len(planes))
     return fig
 
 
@@ -143,6 +140,7 @@ def _norm(metric: str, pool: NDArray[np.float64]) -> Normalize:
         low = -high
     if high - low <= 1e-4 * max(abs(low), abs(high)):  # one value: no ticks between its digits
         low, high = low - 0.1 * (abs(low) or 1.0), high + 0.1 * (abs(high) or 1.0)
+        low = 0.0 if metric in ERRORS else low  # they all are 0, and an error is never less
     ticks = MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
     return Normalize(ticks[0], ticks[-1])
 
@@ -154,7 +152,7 @@ def _panel(ax: Axes, plane: Slice, cmap: Colormap, norm: Normalize, room: float)
     mesh = ax.pcolormesh(
         plane.x.edges, plane.y.edges, plane.values, cmap=cmap, norm=norm, rasterized=True, zorder=1
     )
-    for patch in _hatched(plane):
+    for patch in (*hatch.under(plane), *hatch.over(plane)):
         ax.add_artist(patch)  # add_patch would walk every corner to find limits set below
     for drawn, axis, length in ((ax.xaxis, plane.x, room), (ax.yaxis, plane.y, PANEL_HEIGHT)):
         _ticks(drawn, axis, length)
@@ -218,48 +216,6 @@ def _category(value: Any) -> str:
     return style.number(float(value)) if isinstance(value, np.floating) else str(value)
 
 
-def _hatched(plane: Slice) -> Iterator[PathPatch]:
-    """One patch per kind of special cell, below the mesh, which shows it where it is masked."""
-    kinds = np.zeros(plane.values.shape, dtype=np.int8)
-    for kind, cells in enumerate(plane.special.values(), start=1):
-        kinds[cells] = kind
-    rows, columns = (np.arange(0, n, max(1, n // HATCH_CELLS)) for n in kinds.shape)
-    # a coarse cell takes one of its special cells, so that none is left bare behind the mesh
-    coarse = np.maximum.reduceat(np.maximum.reduceat(kinds, rows, 0), columns, 1)
-    sample = kinds[np.ix_(rows, columns)]
-    coarse = np.where(sample > 0, sample, coarse)
-    x = np.append(plane.x.edges[columns], plane.x.edges[-1])
-    y = np.append(plane.y.edges[rows], plane.y.edges[-1])
-    for kind, key in enumerate(plane.special, start=1):
-        yield _patch(key, coarse == kind, x, y)
-
-
-def _patch(
-    key: str, cells: NDArray[np.bool_], x: NDArray[np.float64], y: NDArray[np.float64]
-) -> PathPatch:
-    """The cells between edges `x` and `y` as one path, a rectangle for each run along x."""
-    change = np.diff(np.pad(cells.astype(np.int8), ((0, 0), (1, 1))), axis=1)
-    row, start = np.nonzero(change == 1)
-    stop = np.nonzero(change == -1)[1]
-    left, right, low, high = x[start], x[stop], y[row], y[row + 1]
-    corners = np.stack([left, low, right, low, right, high, left, high, left, low], axis=1)
-    codes = np.tile([Path.MOVETO, *3 * [Path.LINETO], Path.CLOSEPOLY], len(row))
-    # not antialiased: neighbouring rectangles would show their seams
-    return PathPatch(
-        Path(corners.reshape(-1, 2), codes), zorder=0.5, antialiased=False, **_look(key)
-    )
-
-
-def _look(key: str) -> dict[str, Any]:
-    hatch = style.HATCHES[key]
-    return {
-        "facecolor": hatch.face,
-        "hatch": hatch.pattern,
-        "hatchcolor": hatch.ink,
-        "linewidth": 0,
-    }
-
-
 def _cell_numbers(ax: Axes, plane: Slice, cmap: Colormap, norm: Normalize, room: float) -> None:
     """Print every value in its cell, black or white; leave all out where none could be read."""
     digits, size, upright = _fit(plane, plane.values.compressed().tolist(), room)
@@ -268,7 +224,8 @@ def _cell_numbers(ax: Axes, plane: Slice, cmap: Colormap, norm: Normalize, room:
     x, y = (_centres(axis) for axis in (plane.x, plane.y))
     for row, column in np.argwhere(~np.ma.getmaskarray(plane.values)):
         value = plane.values[row, column]
-        red, green, blue, _ = cmap(norm(value))
+        red, green, blue, _ = colour = cmap(norm(value))
+        cover = {"facecolor": colour, "linewidth": 0, "pad": 1}  # the hatch would cross out digits
         dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
         ax.text(
             x[column],
@@ -279,6 +236,7 @@ def _cell_numbers(ax: Axes, plane: Slice, cmap: Colormap, norm: Normalize, room:
             rotation=90 if upright else 0,
             ha="center",
             va="center" if upright else "center_baseline",
+            bbox=cover if plane.untrusted is not None and plane.untrusted[row, column] else None,
         )
 
 
@@ -311,34 +269,3 @@ def _colour_bar(
     bar.outline.set_linewidth(0.5)
     bar.set_label(style.fold(label, 150))
     bar.minorticks_off()
-
-
-def _legend_handles(planes: Sequence[Slice]) -> list[Patch]:
-    """One hatched box for each kind of special cell that occurs, with its share per panel."""
-    infinite = INFINITE.get(planes[0].metric, "infinite")
-    words = {"not run": "not run yet", "infinite": infinite}
-    handles = []
-    for key in style.HATCHES:
-        if any(key in plane.special for plane in planes):
-            shares = [
-                style.share(float(plane.special[key].mean()) if key in plane.special else 0.0)
-                for plane in planes
-            ]
-            label = f"{words.get(key, key)} ({', '.join(shares)} %)"
-            handles.append(Patch(label=label, **_look(key)))
-    return handles
-
-
-def _legend(fig: Figure, handles: list[Patch], columns: int, panels_drawn: int) -> None:
-    """Name the special cells below the axes, where no data can be covered."""
-    for handle in handles:
-        handle.set(linewidth=0.5, edgecolor="black")
-    fig.legend(
-        handles=handles,
-        loc="outside lower center",
-        ncols=min(columns, len(handles)),
-        title="share of cells per panel, left to right" if panels_drawn > 1 else None,
-        frameon=False,
-        handlelength=2.2,
-        handleheight=1.3,
-    )

@@ -11,9 +11,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from fic_jax import QUANTITIES
+from fic_jax import QUANTITIES, TRUST
 from figures import style
-from sweeps.store import OK, STATUS
+from sweeps.store import ERRORS, OK, STATUS, TRUSTED
+
+FLAGS = ("trusted", "status")  # of every cell, beside the metrics
 
 
 class PlotError(ValueError):
@@ -49,6 +51,8 @@ class Slice:
     special: Mapping[str, NDArray[np.bool_]]  # hatch name -> cells
     name: str
     fixed: tuple[str, ...]  # "symbol = value unit" of everything held constant
+    untrusted: NDArray[np.bool_] | None = None  # good but not trusted; None without estimates
+    bound: float = TRUST  # relative error of nmse up to which a cell is trusted
 
 
 def select(
@@ -61,8 +65,7 @@ def select(
 ) -> Slice:
     """Read one plane: nearest values to `at`, the middle of every dimension nobody named."""
     at = at or {}
-    metrics = [name for name in data.data_vars if name != "status"]
-    _require(metric, metrics, "metric")
+    _require_metric(metric, data)
     for name in (x, y, *at):
         along = data[name].dims if name in data.coords else (name,)
         if along != (name,) and name not in data.dims:
@@ -77,13 +80,27 @@ def select(
         for dim in data[metric].dims
         if dim not in (x, y)
     }
-    wanted = [metric, "status"] if "status" in data else [metric]
+    wanted = [metric, *(name for name in FLAGS if name in data)]
     # isel before load: a store may be larger than memory, a plane of it never is
     plane = data[wanted].isel(index).load().transpose(y, x)
     for dim in (x, y):
         if _scale(plane[dim]) != "category" and not plane.indexes[dim].is_monotonic_increasing:
             plane = plane.sortby(dim)
     return _slice(plane, x, y, metric)
+
+
+def _require_metric(metric: str, data: xr.Dataset) -> None:
+    estimated = "trusted" in data
+    if metric in (*ERRORS, "trusted") and not estimated:
+        raise PlotError(
+            f"There is no '{metric}': the store has no error estimates; "
+            "`fic-sweep run --error-estimate` makes them."
+        )
+    if metric == "trusted":
+        raise PlotError(
+            "'trusted' is no metric: the heatmap of any metric hatches what is not trusted."
+        )
+    _require(metric, [name for name in data.data_vars if name not in FLAGS], "metric")
 
 
 def _require(name: str, known: Iterable[Hashable], what: str) -> None:
@@ -138,6 +155,8 @@ def _slice(plane: xr.Dataset, x: str, y: str, metric: str) -> Slice:
         special={key: cells for key, cells in special.items() if cells.any()},
         name=str(plane.attrs.get("name", "")),
         fixed=(*_constants(plane), *(_fixed(c) for c in plane.coords.values() if c.ndim == 0)),
+        untrusted=good & (plane["trusted"].values != TRUSTED) if "trusted" in plane else None,
+        bound=float(plane.attrs.get("trust_bound", TRUST)),
     )
 
 

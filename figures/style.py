@@ -92,6 +92,9 @@ HATCHES = {
 }
 
 
+UNTRUSTED = 4 * "\\"  # over a colour, see figures.hatch
+
+
 def units_text(units: str) -> str:
     """Units for print: a raised dot for products, nothing for the unit "1"."""
     return "" if units in ("", "1") else units.replace("*", "·").replace("^2", "²")

@@ -87,9 +87,13 @@ def run(
     dry_run: Annotated[bool, typer.Option(help="size, bytes and expected time only")] = False,
     precision: Annotated[Precision, typer.Option(help="bits of a number")] = Precision.single,
     chunk: Annotated[int | None, typer.Option(min=1, help="cells of a block at most")] = None,
+    error_estimate: Annotated[
+        bool, typer.Option("--error-estimate", help="also store the error of every metric")
+    ] = False,
 ) -> None:
     """Run a sweep into a new store."""
     asked = _stop_between_blocks()
+    set_ = [*(set_ or []), *(["error_estimate=true"] if error_estimate else [])]
     sweep = _load(what, set_)
     from sweeps import runner
 

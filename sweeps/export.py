@@ -10,10 +10,11 @@ import pandas as pd
 import xarray as xr
 
 from sweeps.spec import SweepError
-from sweeps.store import STATUS
+from sweeps.store import STATUS, TRUSTWORTHY
 
 SUFFIX = {"csv": ".csv", "parquet": ".parquet", "netcdf": ".nc"}
 PIECE = 500_000  # rows held at once
+FLAGS = {"trusted": TRUSTWORTHY, "status": STATUS}  # words in a table
 
 
 def write(data: xr.Dataset, path: Path, to: str) -> int:
@@ -34,13 +35,18 @@ def write(data: xr.Dataset, path: Path, to: str) -> int:
 
 
 def tables(data: xr.Dataset) -> Iterator[pd.DataFrame]:
-    """One row a scenario, dimensions and swept fields as columns, `status` in words."""
-    words = {code: name for name, code in STATUS.items()}
+    """One row a scenario: dimensions, swept fields, then the variables, flags in words."""
     order = list(map(str, data.sizes))
+    fields = [name for name in data.coords if name not in data.dims]
     for piece in _pieces(dict(data["status"].sizes)):
         frame = data.isel(piece).to_dataframe(order).reset_index()
-        frame["status"] = frame["status"].map(words)
-        yield frame
+        for name, flags in _flags(data):
+            frame[name] = frame[name].map({code: word for word, code in flags.items()})
+        yield frame[[*order, *fields, *data.data_vars]]
+
+
+def _flags(data: xr.Dataset) -> Iterator[tuple[str, dict[str, int]]]:
+    return ((name, flags) for name, flags in FLAGS.items() if name in data)
 
 
 def _pieces(sizes: dict[Any, int]) -> Iterator[dict[Any, slice]]:
@@ -81,8 +87,9 @@ def _netcdf(data: xr.Dataset, path: Path) -> None:
     plain.attrs = {k: v for k, v in data.attrs.items() if k != "coordinates"}
     for variable in plain.variables.values():
         variable.encoding = {}
-    plain["status"].encoding["_FillValue"] = None
-    plain["status"].attrs["flag_values"] = np.array(list(STATUS.values()), np.uint8)
+    for name, flags in _flags(data):
+        plain[name].encoding["_FillValue"] = None
+        plain[name].attrs["flag_values"] = np.array(list(flags.values()), np.uint8)
     plain.to_netcdf(path, engine="h5netcdf")
 
 

@@ -16,6 +16,7 @@ from sweeps.spec import Sweep
 # a scenario is so long that the smallest block takes more.
 BLOCK_STEPS = 150_000_000
 SMALLEST_BLOCK, LARGEST_BLOCK = 4_096, 1_000_000
+ESTIMATE_COST = 9  # times the work of a scenario: two runs, one of smaller steps with events
 
 Block = tuple[slice, ...]
 
@@ -56,7 +57,12 @@ class Grid:
         """Cells that a block may have."""
         if self.chunk:
             return self.chunk
-        return min(max(BLOCK_STEPS // self.sweep.n_steps, SMALLEST_BLOCK), LARGEST_BLOCK)
+        return min(max(BLOCK_STEPS // self.work, SMALLEST_BLOCK), LARGEST_BLOCK)
+
+    @property
+    def work(self) -> int:
+        """What a scenario costs, in plant steps without an estimate."""
+        return self.sweep.n_steps * (ESTIMATE_COST if self.sweep.error_estimate else 1)
 
     @cached_property
     def block_shape(self) -> tuple[int, ...]:

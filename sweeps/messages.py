@@ -1,19 +1,22 @@
 """What the command line says, as lines of text. Prints nothing."""
 
 import math
+from collections.abc import Iterator
 
 from sweeps.grid import Grid
+from sweeps.layout import size
 from sweeps.runner import Progress
-from sweeps.store import Store, size
+from sweeps.store import Store
 
 
 def plan_lines(grid: Grid, dtype: str) -> list[str]:
     """What a sweep comes to: scenarios, blocks, bytes."""
     shape = " x ".join(str(n) for n in grid.block_shape)
+    estimates = ", error estimates included" if grid.sweep.error_estimate else ""
     return [
         f"{_dims(grid)} = {grid.cells:,} scenarios of {grid.sweep.n_steps:,} steps",
         f"{grid.n_blocks:,} blocks of up to {shape}",
-        f"{_size(size(grid, dtype))} on disk before compression",
+        f"{_size(size(grid, dtype))} on disk before compression{estimates}",
     ]
 
 
@@ -34,6 +37,7 @@ def status_lines(store: Store) -> list[str]:
         f"{store.path}: {grid.sweep.name}, {_dims(grid)}",
         f"done      {done:,} of {grid.cells:,} cells ({_share(done, grid.cells)})",
         *(f"  {name:8}{count:>14,}" for name, count in counts.items()),
+        *(f"trusted   {told}" for told in _trusted(store, done)),
         f"blocks    {len(store.pending()):,} of {grid.n_blocks:,} to do",
         f"began     {attrs['start']}, ended {attrs.get('end', 'not yet')}",
         f"made by   fic_jax {attrs['fic_jax']} ({attrs['revision']}), jax {attrs['jax']}",
@@ -64,7 +68,9 @@ def summary(store: Store, result: Progress) -> str:
     steps = rate * store.grid.sweep.n_steps / 1e6
     speed = f", {rate:,.0f}/s ({steps:,.0f} M steps/s)" if steps >= 1 else ""
     diverged = f", {result.diverged:,} diverged" if result.diverged else ""
-    return f"{store.path}: {result.ran:,} scenarios in {_duration(result.seconds)}{speed}{diverged}"
+    told = [f"{result.ran:,} scenarios in {_duration(result.seconds)}{speed}{diverged}"]
+    told += [f"trusted {text}" for text in _trusted(store, result.done)]
+    return f"{store.path}: {'; '.join(told)}"
 
 
 def interruption(store: Store, error: BaseException) -> str:
@@ -74,6 +80,15 @@ def interruption(store: Store, error: BaseException) -> str:
     kept = total - len(store.pending())
     go_on = f"`fic-sweep resume {store.path}` does the rest"
     return f"{why}; {kept} of {total} blocks are kept, {go_on}"
+
+
+def _trusted(store: Store, done: int) -> Iterator[str]:
+    """How many of the cells done are trusted, where the store can tell."""
+    counted = store.trusted()
+    if counted is not None:
+        number, bound = counted
+        share = f"{number:,} of {done:,} cells ({_share(number, done)})"
+        yield f"{share}, nmse known to {100 * bound:g} %"
 
 
 def _dims(grid: Grid) -> str:
@@ -98,4 +113,4 @@ def _size(n: float) -> str:
 
 
 def _share(part: int, whole: int) -> str:
-    return f"{100 * part / whole:.4g} %"
+    return f"{100 * part / max(whole, 1):.4g} %"

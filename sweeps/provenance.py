@@ -36,7 +36,7 @@ def provenance(precision: int) -> dict[str, str]:
 def fingerprint() -> str:
     """SHA-256 of the sources that decide a number, from a cell's values to what is stored."""
     engine = sorted(Path(fic_jax.__file__).parent.rglob("*.py"))
-    names = ("design.py", "grid.py", "runner.py", "spec.py", "store.py")
+    names = ("design.py", "grid.py", "layout.py", "runner.py", "spec.py", "store.py")
     plan = [Path(sweeps.__file__).parent / name for name in names]
     digest = hashlib.sha256()
     for path in [*engine, *plan]:

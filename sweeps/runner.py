@@ -12,9 +12,10 @@ import numpy as np
 from fic_jax import Metrics, Params, sweep, tune_for_throughput
 from fic_jax.stiffness import fastest_rate
 from sweeps.grid import Block, Grid
+from sweeps.layout import create
 from sweeps.provenance import IDENTITY, provenance
 from sweeps.spec import Sweep, SweepError
-from sweeps.store import Store, create, open_store
+from sweeps.store import Store, open_store
 from sweeps.validation import out_of_bounds
 
 STABLE = 2.78  # |lambda| dt beyond which RK4 diverges on a linear system
@@ -73,8 +74,7 @@ def run(store: Store, tell: Tell) -> Progress:
     progress = Progress(grid.cells, grid.cells - todo, 0, 0, 0.0)
     tell(progress)
     for block in pending:
-        metrics = _compute(grid, block, store.dtype)
-        diverged = progress.diverged + store.write(block, metrics)
+        diverged = progress.diverged + store.write(block, *_compute(grid, block, store.dtype))
         ran = progress.ran + _cells(block)
         seconds = time.perf_counter() - began
         progress = Progress(grid.cells, grid.cells - todo + ran, ran, diverged, seconds)
@@ -84,18 +84,26 @@ def run(store: Store, tell: Tell) -> Progress:
     return progress
 
 
-def _compute(grid: Grid, block: Block, dtype: str, n: int | None = None) -> Metrics:
-    """Metrics of a block, or of its first `n` scenarios, in the precision of the store."""
+def _compute(
+    grid: Grid, block: Block, dtype: str, n: int | None = None
+) -> tuple[Metrics, Metrics | None]:
+    """Metrics of a block, or of its first `n` scenarios, and their errors where wanted.
+
+    In the precision of the store.
+    """
     params = {name: np.asarray(v, dtype) for name, v in vars(grid.params(block)).items()}
     batch = Params(**{name: v[:n] if v.ndim else v for name, v in params.items()})
     plan = grid.sweep
-    return sweep(batch, model=grid.model(block), dt=plan.time.dt, n_steps=plan.n_steps)
+    model, dt, n_steps = grid.model(block), plan.time.dt, plan.n_steps
+    if plan.error_estimate:
+        return sweep(batch, model=model, dt=dt, n_steps=n_steps, error_estimate=True)
+    return sweep(batch, model=model, dt=dt, n_steps=n_steps), None
 
 
 def measure(grid: Grid, dtype: str) -> tuple[float, float]:
     """Seconds before the first result, and scenarios a second, from a short run of the plan."""
     block = next(grid.blocks())
-    n = min(_cells(block), max(MEASURED_STEPS // grid.sweep.n_steps, MEASURED_LEAST))
+    n = min(_cells(block), max(MEASURED_STEPS // grid.work, MEASURED_LEAST))
     seconds = []
     for _ in range(2):
         began = time.perf_counter()

@@ -123,6 +123,7 @@ class Sweep(Record):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
     description: str = ""
     metrics: Annotated[list[str], Field(min_length=1)] = list(STORED)
+    error_estimate: Annotated[bool, Strict()] = False  # also store how wrong each metric may be
     time: Time = Time()
     model: dict[str, Choice] = {}
     constants: dict[str, Number] = {}
@@ -140,8 +141,12 @@ class Sweep(Record):
         return axis.values(part) if isinstance(axis, Spacing) else np.array(axis[part])
 
     def record(self) -> str:
-        """The sweep as JSON: what a store keeps, and what two sweeps are compared by."""
-        return self.model_dump_json(exclude_none=True)
+        """The sweep as JSON: what a store keeps, and what two sweeps are compared by.
+
+        An attribute of the store tells of estimates: they change no number, and programs older
+        than them read the record too.
+        """
+        return self.model_dump_json(exclude_none=True, exclude={"error_estimate"})
 
     def given(self) -> dict[str, dict[str, np.ndarray]]:
         """Every field the sweep sets: section -> name -> its values (a range: its ends)."""

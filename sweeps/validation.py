@@ -79,6 +79,7 @@ def _syntax(message: str, text: str) -> str:
 _WANTED = {
     "float_type": "a number",
     "int_type": "a whole number",
+    "bool_type": "true or false",
     "string_type": "a text in quotes",
     "list_type": "a list",
     "dict_type": "a table",
@@ -217,7 +218,7 @@ def _time_grid(sweep: Sweep) -> Iterator[str]:
         yield f"`time.t_end` must be {wanted}, but is {t_end:g}."
 
 
-PLAIN = ("name", "description", "metrics")  # keys outside any table
+PLAIN = ("name", "description", "metrics", "error_estimate")  # keys outside any table
 
 
 def _override(raw: dict[str, Any], text: str) -> None:

@@ -110,6 +110,7 @@ WRONG = [
     (["run", "tiny.toml", "--out", "tiny.toml/a.zarr"], "tiny.toml/a.zarr: can't be written"),
     (["run", "tiny.toml", "--out", "/proc/a.zarr"], "for 12 cells, but /proc has 0 GB free"),
     (["run", "tiny.toml", "--frobnicate"], "No such option"),
+    (["run", "tiny.toml", "--set", "error_estimate=1"], "must be true or false, but is 1."),
     (["run"], "Missing argument"),
     (["run", "tiny.toml", "--out", "x" * 300], "xxx: File name too long"),
     (["status", "x" * 300], "xxx: is no result store"),
@@ -185,6 +186,26 @@ def test_plot(ran):
     assert "tiny.zarr: There is no dimension 'Kenv'. " in wrong.stderr
     wrong = call(ran, "plot", "tiny.zarr", "--x", "Td", "--y", "K0", "--at", "sigma", code=2)
     assert "--at sigma: must be KEY=VALUE, as in --at Td=5" in wrong.stderr
+
+
+def test_error_estimate(folder):
+    done = call(folder, "run", "tiny.toml", "--error-estimate", code=0)
+    assert re.search(r"; trusted \d+ of 12 cells \([\d.]+ %\), nmse known to 1 %\n$", done.stdout)
+    told = call(folder, "status", "tiny.zarr", code=0).stdout
+    assert re.search(r"^trusted   \d+ of 12 cells \([\d.]+ %\), nmse known to 1 %$", told, re.M)
+    with xr.open_zarr(folder / "tiny.zarr") as data:
+        assert np.isfinite(data["nmse_error"]).all()
+
+
+def test_an_error_nobody_estimated_is_refused(ran):
+    wrong = call(
+        ran, "plot", "tiny.zarr", "--x", "Td", "--y", "K0", "--metric", "nmse_error", code=2
+    )
+    assert wrong.stderr == (
+        "fic-sweep: tiny.zarr: There is no 'nmse_error': the store has no error estimates; "
+        "`fic-sweep run --error-estimate` makes them.\n"
+    )
+    assert "trusted" not in call(ran, "status", "tiny.zarr", code=0).stdout
 
 
 def test_export(ran):

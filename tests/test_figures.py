@@ -347,3 +347,92 @@ def test_a_quantity_that_is_no_grid_is_told(atlas):
     drawn = atlas.isel(Td=0, drop=True).assign_coords(gap=("K0", np.arange(16.0)))
     with pytest.raises(PlotError, match="'gap' varies along 'K0', which has no grid to draw on"):
         plot(drawn, x="gap", y="Kenv")
+
+
+@pytest.fixture
+def judged(atlas):
+    """The atlas with estimates: a diagonal half of the middle plane is not trusted."""
+    doubt = np.ones(atlas.nmse.shape, bool)
+    doubt[1] = np.add.outer(np.arange(16), np.arange(12)) > 14
+    atlas["nmse_error"] = atlas.nmse.copy(data=np.where(doubt, 0.1, 1e-4) * atlas.nmse)
+    atlas.nmse_error.attrs["long_name"] = "estimated error of normalised mean square error"
+    atlas["trusted"] = atlas.status.copy(data=np.where(doubt, 1, 2).astype(np.uint8))
+    atlas.attrs["trust_bound"] = 0.01
+    return atlas
+
+
+def hatched(axes: Axes) -> list[str]:
+    return [patch.get_hatch() for patch in axes.patches]
+
+
+def test_cells_that_are_not_trusted_keep_their_colour_under_a_hatch(judged):
+    judged.status[1, 15, :] = 2
+    judged.trusted[1, 15, :] = 0
+    plane = select(judged, x="Kenv", y="K0", at={"Td": 5})
+    expected = (judged.trusted.values[1] == 1) & (judged.status.values[1] == 1)
+    np.testing.assert_array_equal(plane.untrusted, expected)
+    figure = panels([("", plane)])
+    hidden = np.ma.getmaskarray(mesh(panel(figure)).get_array())
+    assert not hidden[:15].any() and hidden[15].all()
+    share = style.share(expected.mean())
+    assert legend(figure) == [
+        "diverged (6.2 %)",
+        f"not trusted: error > 1 % of nmse ({share} %)",
+    ]
+    over = [patch for patch in panel(figure).patches if patch.get_hatch() == style.UNTRUSTED]
+    corners = mesh(panel(figure)).get_coordinates()
+    for patch in over:  # a light line and a dark one on it, over the colours
+        assert patch.get_zorder() > mesh(panel(figure)).get_zorder()
+        box = patch.get_path().get_extents()
+        rows, columns = np.nonzero(expected)
+        np.testing.assert_allclose([box.x0, box.y0], corners[rows.min(), columns.min()])
+        np.testing.assert_allclose([box.x1, box.y1], corners[rows.max() + 1, columns.max() + 1])
+    assert {to_rgb(patch.get_hatchcolor()) for patch in over} == {to_rgb("w"), to_rgb("k")}
+
+
+def test_stores_without_estimates_and_trusted_planes_get_no_hatch(judged):
+    trusted = judged.copy(deep=True)
+    trusted.trusted[:] = 2
+    for data in (judged.drop_vars(["trusted", "nmse_error"]), trusted):
+        figure = plot(data, x="Kenv", y="K0")
+        assert hatched(panel(figure)) == [] and legend(figure) == []
+
+
+def test_a_panel_without_estimates_gets_no_share(judged):
+    bare = judged.drop_vars(["trusted", "nmse_error"])
+    row = [("", select(data, x="Kenv", y="K0", at={"Td": 1})) for data in (judged, bare)]
+    assert legend(panels(row)) == ["not trusted: error > 1 % of nmse (100, – %)"]
+
+
+def test_a_number_in_a_hatched_cell_stands_on_its_colour(paper):
+    paper["trusted"] = paper.status.copy(data=np.full(paper.status.shape, 2, np.uint8))
+    paper.trusted[1, 0, 0] = 1
+    axes = panel(plot(paper, x="Td", y="K0"))
+    colours = mesh(axes).to_rgba(mesh(axes).get_array()).reshape(-1, 4)
+    boxes = [text.get_bbox_patch() for text in axes.texts]
+    assert boxes[0].get_facecolor() == pytest.approx(colours[0])
+    assert boxes[1:] == [None] * 19
+
+
+def test_an_error_is_drawn_in_decades(judged):
+    judged.nmse_error[1, 0, 0] = 0.0
+    judged.nmse_error[1, 0, 1] = np.inf
+    figure = plot(judged, x="Kenv", y="K0", metric="nmse_error")
+    assert isinstance(mesh(panel(figure)).norm, LogNorm)
+    shown = figure.axes[1].get_ylabel().replace("\n", " ")
+    assert shown == "estimated error of normalised mean square error"
+    assert legend(figure)[0] == "infinite (0.5 %)"
+    judged.nmse_error[:] = 0.0
+    norm = mesh(panel(plot(judged, x="Kenv", y="K0", metric="nmse_error"))).norm
+    assert norm.vmin == 0.0 < norm.vmax
+
+
+def test_trust_is_told_from_metrics(judged):
+    with pytest.raises(PlotError, match="'trusted' is no metric: the heatmap of any metric hatch"):
+        plot(judged, x="Kenv", y="K0", metric="trusted")
+    with pytest.raises(PlotError, match=r"no metric 'nsme_error'. Did you mean 'nmse_error'"):
+        plot(judged, x="Kenv", y="K0", metric="nsme_error")
+    bare = judged.drop_vars(["trusted", "nmse_error"])
+    for metric in ("trusted", "steady_error_error"):
+        with pytest.raises(PlotError, match=f"no '{metric}': the store has no error estimates; "):
+            plot(bare, x="Kenv", y="K0", metric=metric)

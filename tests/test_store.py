@@ -9,7 +9,8 @@ import pytest
 import xarray as xr
 
 import fic_jax
-from sweeps import runner, store
+from sweeps import layout, messages, runner, store
+from sweeps.export import tables, write
 from sweeps.grid import Grid
 from sweeps.spec import SweepError
 from sweeps.validation import parse
@@ -105,7 +106,7 @@ def test_values_that_lose_their_meaning_in_float32_are_refused(tmp_path):
 
 def test_size_counts_coordinates(tmp_path):
     text = 'name = "a"\nmetrics = ["nmse"]\n[sample]\nn = 1000\nranges = { Td = { lin = [1, 2] } }'
-    assert store.size(Grid(parse(text, "f")), "float32") == 1000 * (4 + 1 + 8)
+    assert layout.size(Grid(parse(text, "f")), "float32") == 1000 * (4 + 1 + 8)
 
 
 @pytest.mark.parametrize("chunk", [1, 7, 10])
@@ -248,3 +249,149 @@ def test_a_sample_keeps_each_scenarios_values(tmp_path):
         fic_jax.Params(Td=data["Td"].values.astype(np.float32)), dt=0.01, n_steps=10
     )
     np.testing.assert_array_equal(data["nmse"], metrics.nmse)
+
+
+ESTIMATED = """
+name = "estimated"
+description = "easy, hard and unstable cells"
+error_estimate = true
+[time]
+t_end = 0.5
+[model]
+contact = "welded"
+[axes]
+K0 = { log = [1.0, 300.0], n = 5 }
+Kenv = [100.0, 3000.0, 1e9]
+[cases]
+Denv = [0.0, 63.2]
+"""
+
+
+one_worker = pytest.mark.xdist_group("estimates")  # ten seconds of compilation in each
+
+
+@pytest.fixture(scope="module")
+def doubted():
+    return parse(ESTIMATED, "estimated.toml")
+
+
+@pytest.fixture(scope="module")
+def estimated(tmp_path_factory, doubted):
+    path = tmp_path_factory.mktemp("estimated") / "estimated.zarr"
+    complete(path, doubted, chunk=12)
+    return path
+
+
+@one_worker
+def test_estimates_are_those_of_the_engine_and_change_no_metric(tmp_path, doubted, estimated):
+    grid = Grid(doubted)
+    batch = {k: np.float32(v) for k, v in vars(grid.params(next(grid.blocks()))).items()}
+    metrics, errors = fic_jax.sweep(
+        fic_jax.Params(**batch),
+        model=fic_jax.Model(contact="welded"), dt=0.01, n_steps=50, error_estimate=True,
+    )  # fmt: skip
+    with xr.open_zarr(estimated, chunks=None) as data:
+        good = metrics.finite.reshape(grid.shape)
+        assert 0 < good.sum() < good.size
+        for name in doubted.metrics:
+            expected = getattr(errors, name).reshape(grid.shape)
+            np.testing.assert_array_equal(data[f"{name}_error"], np.where(good, expected, np.nan))
+        trusted = fic_jax.trusted(metrics, errors).reshape(grid.shape)
+        assert 0 < trusted.sum() < good.sum()
+        flags = np.where(trusted, store.TRUSTED, store.NOT_TRUSTED)
+        np.testing.assert_array_equal(data["trusted"], np.where(good, flags, store.NO_ESTIMATE))
+        assert store.open_store(estimated).trusted() == (trusted.sum(), fic_jax.TRUST)
+    plain = parse(ESTIMATED, "f", ("error_estimate=false",))
+    complete(tmp_path / "plain.zarr", plain, chunk=12)
+    without, whole = bits(tmp_path / "plain.zarr"), bits(estimated)
+    assert set(whole) - set(without) == {f"{name}_error" for name in plain.metrics} | {"trusted"}
+    assert without == {name: whole[name] for name in without}
+
+
+@one_worker
+def test_estimates_say_what_they_are(tmp_path, plan, estimated):
+    bare = runner.start(tmp_path / "bare.zarr", plan, None, 32)
+    assert bare.trusted() is None
+    with xr.open_zarr(estimated) as data, xr.open_zarr(bare.path) as plain:
+        assert data["peak_torque_error"].attrs == {
+            "units": "N*m",
+            "long_name": "estimated error of largest interaction torque",
+        }
+        assert data["trusted"].dtype == np.uint8
+        assert data["trusted"].attrs["flag_values"] == [0, 1, 2]
+        assert data["trusted"].attrs["flag_meanings"] == "no_estimate not_trusted trusted"
+        assert (data.attrs["error_estimate"], data.attrs["trust_bound"]) == (1, fic_jax.TRUST)
+        assert "half the plant step" in data.attrs["error_estimate_meaning"]
+        assert "error_estimate" not in data.attrs["sweep"]  # what older programs would refuse
+        assert (plain.attrs["error_estimate"], "trust_bound" in plain.attrs) == (0, False)
+        errors, metric = data["nmse_error"].encoding, data["nmse"].encoding
+        for key in ("dtype", "chunks", "compressors"):
+            assert errors[key] == metric[key]
+
+
+@one_worker
+def test_an_interruption_before_the_status_trusts_nothing_and_resume_does_the_rest(
+    tmp_path, doubted, estimated, monkeypatch
+):
+    path = tmp_path / "halted.zarr"
+    made = runner.start(path, doubted, 12, 32)
+    put, begun = store.Store._put, []
+
+    def stop_at_the_second_status(self, name, block, values):
+        begun.append(name)
+        if begun.count("status") == 2:
+            raise KeyboardInterrupt
+        put(self, name, block, values)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(store.Store, "_put", stop_at_the_second_status)
+        with pytest.raises(KeyboardInterrupt):
+            runner.run(made, quiet)
+    assert begun[-2:] == ["trusted", "status"]
+    data = xr.open_zarr(path, chunks=None)
+    done = data["status"].values != store.NOT_RUN
+    trusted = data["trusted"].values == store.TRUSTED
+    assert 0 < (trusted & done).sum() < trusted.sum()
+    assert made.trusted() == ((trusted & done).sum(), fic_jax.TRUST)
+    told = "\n".join(messages.status_lines(made))
+    assert f"trusted   {(trusted & done).sum()} of {done.sum()} cells (" in told
+    result = runner.run(runner.reopen(path, 32), quiet)
+    assert bits(path) == bits(estimated)
+    assert re.search(
+        r"; trusted 1\d of 30 cells \([\d.]+ %\), nmse known to 1 %$",
+        messages.summary(made, result),
+    )
+
+
+@one_worker
+def test_a_store_without_nmse_knows_what_is_trusted(tmp_path, doubted, estimated):
+    few = parse(ESTIMATED, "f", ('metrics=["peak_torque"]',))
+    complete(tmp_path / "few.zarr", few)
+    data = store.dataset(tmp_path / "few.zarr")
+    assert list(data) == ["peak_torque", "peak_torque_error", "trusted", "status"]
+    np.testing.assert_array_equal(data["trusted"], store.dataset(estimated)["trusted"])
+
+
+@one_worker
+def test_a_dry_run_accounts_for_estimates(doubted):
+    grid = Grid(doubted)
+    assert layout.size(grid, "float32") == 30 * (2 * 10 * 4 + 2) + (5 + 3 + 2 * 2) * 8
+    assert messages.plan_lines(grid, "float32")[-1].endswith(", error estimates included")
+    assert runner.measure(grid, "float32")[1] > 0
+    long = parse(ESTIMATED, "f", ("t_end=100",))
+    plain = parse(ESTIMATED, "f", ("t_end=100", "error_estimate=false"))
+    assert Grid(long).block_cells < Grid(plain).block_cells  # a block stays a second or two
+
+
+@one_worker
+def test_exports_carry_estimates_in_order(tmp_path, doubted, estimated):
+    (table,) = tables(store.dataset(estimated))
+    errors = [f"{name}_error" for name in doubted.metrics]
+    named = ["K0", "Kenv", "case", "Denv", *doubted.metrics, *errors, "trusted", "status"]
+    assert list(table.columns) == named
+    assert set(table["trusted"]) == {"no estimate", "not trusted", "trusted"}
+    assert set(table["status"][table["trusted"] == "no estimate"]) == {"diverged"}
+    write(store.dataset(estimated), tmp_path / "a.nc", "netcdf")
+    with xr.open_dataset(tmp_path / "a.nc") as copy, xr.open_zarr(estimated) as data:
+        np.testing.assert_array_equal(copy["trusted"], data["trusted"])
+        np.testing.assert_array_equal(copy["nmse_error"], data["nmse_error"])

@@ -62,6 +62,7 @@ WRONG = {
     'name = "a/b"\n[axes]\nK0 = [1.0]': "`name` must be letters, digits",
     "[axes]\nK0 = [1.0]": "`name` must be given, but is missing.",
     'metrics = ["nms"]\n' + GOOD: "unknown metric `nms`; did you mean `nmse`?",
+    "error_estimate = 1\n" + GOOD: "`error_estimate` must be true or false, but is 1.",
     "x = ": "not valid TOML",
     "name = " + "[" * 5000: "not valid TOML",
 }

@@ -1,0 +1,154 @@
+"""A new store on disk: its attributes, coordinates and empty variables."""
+
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+from zarr.codecs import BloscCodec, Crc32cCodec
+
+from fic_jax import METRICS, QUANTITIES, TRUST
+from sweeps.grid import Grid
+from sweeps.spec import Sweep, SweepError
+from sweeps.store import (
+    ERRORS,
+    FORMAT,
+    STATUS,
+    TRUSTWORTHY,
+    Store,
+    consolidate,
+    open_store,
+    sha256,
+    variable_names,
+)
+
+ESTIMATE = (
+    "Absolute error of the metric beside it, estimated by running the scenario again with half the "
+    "plant step and its switches located inside the step; infinite where only one of the two runs "
+    "gives a finite metric, NaN where one left the finite numbers."
+)
+FLAGS = {  # variable -> long_name, flags; the first one is the fill value
+    "trusted": (
+        f"whether the estimated error of nmse is at most {100 * TRUST:g} % of nmse",
+        TRUSTWORTHY,
+    ),
+    "status": ("what became of the scenario", STATUS),
+}
+
+
+def create(path: Path, grid: Grid, attributes: Mapping[str, Any]) -> Store:
+    """Make an empty store, whole or not at all. Raises SweepError if it can't be."""
+    if path.exists() or path.is_symlink():
+        store = os.path.isfile(path / "zarr.json")
+        go_on = f"`fic-sweep resume {path}` continues it, " if store else ""
+        raise SweepError(f"{path}: exists already; {go_on}--out names another")
+    needed, parent = size(grid, attributes["dtype"]), _existing_parent(path)
+    free = shutil.disk_usage(parent).free
+    if needed > free:
+        raise SweepError(
+            f"{path}: the sweep needs up to {needed / 1e9:.3g} GB for {grid.cells:,} cells, "
+            f"but {parent} has {free / 1e9:.3g} GB free"
+        )
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        partial.parent.mkdir(parents=True, exist_ok=True)
+        _lay_out(partial, grid, attributes)
+        partial.rename(path)
+    except OSError as error:
+        raise SweepError(f"{path}: can't be written: {error.strerror or error}") from None
+    finally:  # an interruption leaves no more behind than an error
+        shutil.rmtree(partial, ignore_errors=True)
+    return open_store(path)
+
+
+def size(grid: Grid, dtype: str) -> int:
+    """Bytes of a finished store before compression: variables and coordinates."""
+    names = variable_names(grid.sweep)
+    cell = sum(1 if name in FLAGS else np.dtype(dtype).itemsize for name in names)
+    coordinates = sum(n * 8 * len(grid.coordinates(d, slice(0, 1))) for d, n in grid.dims.items())
+    return grid.cells * cell + coordinates
+
+
+def _existing_parent(path: Path) -> Path:
+    return next(folder for folder in path.absolute().parents if folder.exists())
+
+
+def _lay_out(path: Path, grid: Grid, attributes: Mapping[str, Any]) -> None:
+    """Write the group, the coordinates and the metadata of every variable."""
+    sweep = grid.sweep
+    record = {
+        "format": FORMAT,
+        "name": sweep.name,
+        "description": sweep.description,
+        "sweep": sweep.record(),
+        "sweep_sha256": sha256(sweep.record()),
+        "block_cells": grid.block_cells,
+    } | _estimate(sweep)
+    group = zarr.create_group(path, attributes=record | dict(attributes))
+    along = [name for dim in grid.dims for name in _write_coordinates(group, grid, dim)]
+    group.attrs.update({"coordinates": " ".join(along)} if along else {})
+    layout: dict[str, Any] = {"shape": grid.shape, "chunks": grid.block_shape}
+    layout["dimension_names"] = list(grid.dims)
+    # An all-NaN chunk must be a file too: a missing file then always means "not run".
+    layout["config"] = {"write_empty_chunks": True}
+    for name in variable_names(sweep):
+        dtype, fill, described = _variable(name, attributes["dtype"])
+        group.create_array(
+            name,
+            dtype=dtype,
+            fill_value=fill,
+            compressors=_codecs(np.dtype(dtype).itemsize),
+            attributes=described,
+            **layout,
+        )
+    consolidate(path)
+
+
+def _estimate(sweep: Sweep) -> dict[str, Any]:
+    """Whether a store has error estimates (1/0), what they are and when a cell is trusted."""
+    if not sweep.error_estimate:  # a number: NetCDF knows no true and false
+        return {"error_estimate": 0}
+    return {"error_estimate": 1, "error_estimate_meaning": ESTIMATE, "trust_bound": TRUST}
+
+
+def _variable(name: str, dtype: str) -> tuple[str, float, dict[str, Any]]:
+    """Type, fill value and attributes of what a store holds of every cell."""
+    if name in FLAGS:
+        meaning, flags = FLAGS[name]
+        words = " ".join(word.replace(" ", "_") for word in flags)
+        described = {"flag_values": list(flags.values()), "flag_meanings": words}
+        return "uint8", 0, {"long_name": meaning} | described
+    about = METRICS[ERRORS.get(name, name)]
+    prefix = "estimated error of " if name in ERRORS else ""
+    return dtype, np.nan, {"units": about["unit"], "long_name": prefix + about["meaning"]}
+
+
+def _codecs(itemsize: int) -> list[Any]:
+    """Compression with a checksum: Blosc alone reads most flipped bits as wrong numbers."""
+    return [BloscCodec(cname="zstd", clevel=1, shuffle="shuffle", typesize=itemsize), Crc32cCodec()]
+
+
+def _write_coordinates(group: zarr.Group, grid: Grid, dim: str) -> list[str]:
+    """Write what varies along a dimension, piece by piece; returns the names that are no index."""
+    piece, length = 1_000_000, grid.dims[dim]
+    for start in range(0, length, piece):
+        part = slice(start, min(start + piece, length))
+        for name, values in grid.coordinates(dim, part).items():
+            if start == 0:
+                about = QUANTITIES.get(name, {"unit": "1", "meaning": name})
+                group.create_array(
+                    name,
+                    shape=(length,),
+                    chunks=(min(piece, length),),
+                    dtype=str if values.dtype.kind == "U" else values.dtype,
+                    compressors=[Crc32cCodec()] if values.dtype.kind == "U" else _codecs(8),
+                    dimension_names=[dim],
+                    attributes={"units": about["unit"], "long_name": about["meaning"]},
+                )
+            array = group[name]
+            assert isinstance(array, zarr.Array)
+            array[part] = values
+    return [name for name in grid.coordinates(dim, slice(0, 1)) if name != dim]
