@@ -2,6 +2,8 @@
 
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -73,15 +75,32 @@ def run(store: Store, tell: Tell) -> Progress:
     todo = sum(_cells(block) for block in pending)
     progress = Progress(grid.cells, grid.cells - todo, 0, 0, 0.0)
     tell(progress)
-    for block in pending:
-        diverged = progress.diverged + store.write(block, *_compute(grid, block, store.dtype))
-        ran = progress.ran + _cells(block)
-        seconds = time.perf_counter() - began
-        progress = Progress(grid.cells, grid.cells - todo + ran, ran, diverged, seconds)
-        tell(progress)
+    with closing(_committed(store, pending)) as committed:
+        for block, lost in committed:
+            ran, diverged = progress.ran + _cells(block), progress.diverged + lost
+            seconds = time.perf_counter() - began
+            progress = Progress(grid.cells, grid.cells - todo + ran, ran, diverged, seconds)
+            tell(progress)
     if "end" not in store.group.attrs:  # also where an interruption came just before this line
         store.note(end=_now())
     return progress
+
+
+def _committed(store: Store, pending: list[Block]) -> Iterator[tuple[Block, int]]:
+    """Compute the blocks and commit them: each one, with its diverged scenarios, once on disk.
+
+    A block is written while the next one is computed. Whoever stops asking loses none that is
+    computed: closing waits until it is written.
+    """
+    with ThreadPoolExecutor(1) as writer:
+        last: tuple[Block, Future[int]] | None = None
+        for block in pending:
+            result = _compute(store.grid, block, store.dtype)
+            before, last = last, (block, writer.submit(store.write, block, *result))
+            if before:
+                yield before[0], before[1].result()
+        if last:
+            yield last[0], last[1].result()
 
 
 def _compute(

@@ -8,6 +8,7 @@ import hashlib
 import os
 import warnings
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -90,10 +91,12 @@ class Store:
         shape = tuple(part.stop - part.start for part in block)
         array[block] = values.reshape(shape).astype(array.dtype)
 
+    @cached_property
+    def _arrays(self) -> dict[str, zarr.Array[Any]]:
+        return dict(self.group.arrays())
+
     def _array(self, name: str) -> zarr.Array[Any]:
-        array = self.group[name]
-        assert isinstance(array, zarr.Array)
-        return array
+        return self._arrays[name]
 
 
 def open_store(path: Path, mode: Any = "r+") -> Store:
