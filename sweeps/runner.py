@@ -13,6 +13,7 @@ import numpy as np
 
 from fic_jax import Metrics, Params, sweep, tune_for_throughput
 from fic_jax.stiffness import fastest_rate
+from sweeps.cache import programs
 from sweeps.grid import Block, Grid
 from sweeps.layout import create
 from sweeps.provenance import IDENTITY, provenance
@@ -42,9 +43,13 @@ Tell = Callable[[Progress], None]
 
 
 def configure(precision: int) -> None:
-    """Set JAX up for sweeps; before JAX starts."""
+    """Set JAX up for sweeps, with programs kept from run to run; before JAX starts."""
     tune_for_throughput()
     jax.config.update("jax_enable_x64", precision == 64)
+    kept = programs()
+    if kept is not None:
+        jax.config.update("jax_compilation_cache_dir", str(kept))
+        jax.config.update("jax_raise_persistent_cache_errors", False)
 
 
 def start(path: Path, plan: Sweep, chunk: int | None, precision: int) -> Store:

@@ -1,11 +1,21 @@
 """Strictness for every test: float64, no silent broadcasting or promotion, two CPU devices."""
 
+import atexit
+import os
+import shutil
+import tempfile
+
 import jax
 
 import fic_jax
+from sweeps.cache import VARIABLE
 
 # Before the backend starts: what the engine wants, and two devices wherever the tests run.
 fic_jax.tune_for_throughput(2)
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+# Commands that tests start keep their programs here, and not with the user's.
+os.environ[VARIABLE] = tempfile.mkdtemp(prefix="fic-sweep-")
+atexit.register(shutil.rmtree, os.environ[VARIABLE], ignore_errors=True)

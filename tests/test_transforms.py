@@ -1,5 +1,9 @@
 """What JAX does to the functions: compile, batch, differentiate, chunk, without changing them."""
 
+import os
+import subprocess
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -75,6 +79,46 @@ def test_scenario_alone_equals_its_lane_in_a_full_block(dtype):
     order = np.random.default_rng(1).permutation(n)
     shuffled = fic_jax.sweep(pick(batch, order), dt=DT, n_steps=60)
     assert_same(shuffled, jax.tree.map(lambda a: a[order], whole))
+
+
+@pytest.mark.parametrize(("lanes", "blocks"), [(32, 4), (64, 128), (256, 16)])
+def test_any_block_size_gives_the_same_bits(lanes, blocks, monkeypatch):
+    batch = random_batch(700)
+    chosen = fic_jax.sweep(batch, dt=DT, n_steps=60)
+    monkeypatch.setattr(fic_jax.engine, "LANES", lanes)
+    monkeypatch.setattr(fic_jax.engine, "BLOCKS", blocks)
+    _compiled.cache_clear()
+    assert_same(fic_jax.sweep(batch, dt=DT, n_steps=60), chosen)
+    _compiled.cache_clear()
+
+
+WITHOUT_FLAGS = """
+import os, sys, warnings
+import numpy as np
+import fic_jax.engine
+fic_jax.engine.TRIED_JAXLIB = ("0.0.",)
+with warnings.catch_warnings(record=True) as told:
+    warnings.simplefilter("always")
+    fic_jax.tune_for_throughput(2)
+assert len(told) == 1 and "was not tried" in str(told[0].message), told
+assert "xla_cpu_small_while_loop" not in os.environ.get("XLA_FLAGS", "")
+K0 = np.geomspace(5.0, 500.0, 200).astype(np.float32)
+metrics = fic_jax.sweep(fic_jax.Params(K0=K0), dt=0.01, n_steps=60)
+assert len(fic_jax.engine.jax.local_devices()) == 2
+sys.stdout.write(metrics.nmse.tobytes().hex())
+"""
+
+
+def test_an_untried_jaxlib_runs_without_the_flags():
+    """One warning, both devices, and the numbers of the arranged engine to a few ulp."""
+    environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
+    command = [sys.executable, "-c", WITHOUT_FLAGS]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    plain = np.frombuffer(bytes.fromhex(done.stdout), np.float32)
+    K0 = np.geomspace(5.0, 500.0, 200).astype(np.float32)
+    ours = fic_jax.sweep(Params(K0=K0), dt=np.float32(DT), n_steps=60).nmse
+    assert ours.dtype == np.float32
+    np.testing.assert_allclose(ours, plain, rtol=16 * np.finfo(np.float32).eps)
 
 
 def test_one_device_equals_two():

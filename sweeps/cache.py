@@ -1,0 +1,37 @@
+"""Where compiled programs are kept from one run to the next."""
+
+import hashlib
+import os
+import platform
+from pathlib import Path
+
+VARIABLE = "FIC_SWEEP_CACHE"  # names another folder; empty: nothing is kept
+
+
+def programs() -> Path | None:
+    """The folder of this processor's programs, or None where nothing can or shall be kept.
+
+    A home folder may be shared by machines whose processors differ, and a program made for one
+    can stop with an illegal instruction on another.
+    """
+    chosen = os.environ.get(VARIABLE)
+    if chosen == "":
+        return None
+    user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    folder = (Path(chosen) if chosen else user / "fic-sweep") / _processor()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:  # a home that is not ours to write in is no reason not to run
+        return None
+    return folder if os.access(folder, os.W_OK) else None
+
+
+def _processor() -> str:
+    """A short name for what this processor can do."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    able = next((line for line in lines if line.lower().startswith(("flags", "features"))), "")
+    identity = f"{platform.machine()} {platform.processor()} {able}"
+    return hashlib.sha256(identity.encode()).hexdigest()[:12]

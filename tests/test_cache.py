@@ -1,0 +1,54 @@
+"""Compiled programs are kept from run to run, and change no number."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from sweeps import cache
+
+SWEEP = """
+name = "kept"
+[time]
+t_end = 0.2
+[axes]
+K0 = { log = [1.0, 1000.0], n = 9 }
+"""
+
+
+def run(folder: Path, kept: str) -> bytes:
+    """Run the sweep into a new store; returns the bytes of its metrics."""
+    folder.mkdir()
+    (folder / "kept.toml").write_text(SWEEP)
+    command = [str(Path(sys.executable).parent / "fic-sweep"), "run", "kept.toml"]
+    environment = os.environ | {cache.VARIABLE: kept}
+    subprocess.run(command, cwd=folder, env=environment, check=True, capture_output=True)
+    chunks = sorted((folder / "kept.zarr").glob("*/c/*"))
+    assert chunks
+    return b"".join(chunk.read_bytes() for chunk in chunks)
+
+
+def test_a_second_run_takes_the_kept_program_and_gives_the_same_bits(tmp_path):
+    kept = tmp_path / "kept"
+    first = run(tmp_path / "first", str(kept))
+    programs = {path: path.stat().st_mtime_ns for path in kept.rglob("*-cache")}
+    assert programs
+    assert run(tmp_path / "second", str(kept)) == first
+    assert {path: path.stat().st_mtime_ns for path in kept.rglob("*-cache")} == programs
+    assert run(tmp_path / "none", "") == first
+
+
+def test_the_folder_is_the_users_choice(tmp_path, monkeypatch):
+    monkeypatch.setenv(cache.VARIABLE, str(tmp_path / "mine"))
+    assert cache.programs().parent == tmp_path / "mine"
+    monkeypatch.delenv(cache.VARIABLE)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "all"))
+    assert cache.programs().parent == tmp_path / "all" / "fic-sweep"
+
+
+@pytest.mark.parametrize("kept", ["", "/proc/nowhere"])
+def test_nothing_is_kept_where_it_is_not_wanted_or_can_not_be(kept, monkeypatch):
+    monkeypatch.setenv(cache.VARIABLE, kept)
+    assert cache.programs() is None
