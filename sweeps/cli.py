@@ -46,6 +46,15 @@ class Format(StrEnum):
     netcdf = "netcdf"
 
 
+class BenchTable(StrEnum):
+    """What `bench` measures."""
+
+    rates = "rates"
+    scaling = "scaling"
+    run = "run"
+    first = "first"
+
+
 What = Annotated[str, typer.Argument(metavar="NAME|FILE", help="library name or TOML file")]
 Where = Annotated[Path, typer.Argument(metavar="PATH", help="a result store")]
 Set = Annotated[
@@ -183,18 +192,34 @@ def export(
 
 @app.command()
 def bench(
-    scenarios: Annotated[int, typer.Option(min=1, help="scenarios of a run")] = 65_536,
+    scenarios: Annotated[
+        int | None, typer.Option(min=1, help="of the largest runs, not each table's own")
+    ] = None,
     steps: Annotated[int, typer.Option(min=2, help="plant steps of a scenario")] = 1_000,
-    repeats: Annotated[int, typer.Option(min=1, help="runs of each, taken in turn")] = 5,
+    repeats: Annotated[int, typer.Option(min=1, help="rounds; fewer where a call is long")] = 5,
+    only: Annotated[list[BenchTable] | None, typer.Option(help="this table; repeatable")] = None,
+    full: Annotated[bool, typer.Option("--full", help="larger sweeps too, some minutes")] = False,
     json: Annotated[bool, typer.Option("--json", help="for machines")] = False,
+    markdown: Annotated[bool, typer.Option("--markdown", help="for a README")] = False,
 ) -> None:
-    """Measure this machine: the engine against the plain jit(vmap(scan)) of the same step."""
+    """Measure this machine: the engine, its peers, whole runs. Takes two or three minutes."""
+    if json and markdown:
+        _refuse("--json and --markdown: one of them")
     import json as encoder
 
-    from sweeps.bench import compare, table
+    from sweeps.bench.plan import Plan
+    from sweeps.bench.processes import BenchError
+    from sweeps.bench.tables import measure
+    from sweeps.bench.text import as_markdown, as_text
 
-    result = compare(scenarios, steps, repeats)
-    print(encoder.dumps(result) if json else table(result))
+    plan = Plan(scenarios, steps, repeats, full, tuple(table.value for table in only or []))
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # nothing temporary stays behind
+    try:
+        result = measure(plan, lambda line: print(line, file=sys.stderr, flush=True))
+    except (BenchError, KeyboardInterrupt) as error:
+        print(f"fic-sweep: {str(error) or 'interrupted'}", file=sys.stderr)
+        raise typer.Exit(1) from None
+    print(encoder.dumps(result) if json else (as_markdown if markdown else as_text)(result))
 
 
 def _version(asked: bool) -> None:
@@ -351,6 +376,11 @@ def _refuse(message: str) -> NoReturn:
 
 def main() -> None:
     """Entry point: exit 0 done, 1 failed or interrupted, 2 the request was wrong."""
+    import warnings
+
+    warnings.showwarning = lambda message, *_, **__: print(
+        f"fic-sweep: warning: {message}", file=sys.stderr
+    )
     try:
         sys.exit(_dispatch())
     except BrokenPipeError:  # `fic-sweep list | head`
@@ -360,9 +390,10 @@ def main() -> None:
 
 def _dispatch() -> int:
     try:
-        return typer.main.get_command(app)(standalone_mode=False) or 0
+        code = typer.main.get_command(app)(standalone_mode=False) or 0
+        return 1 if code == 130 else code  # typer's word for Ctrl-C
     except typer.Exit as stop:
-        return 1 if stop.exit_code == 130 else stop.exit_code  # typer's word for Ctrl-C
+        return stop.exit_code
     except (KeyboardInterrupt, typer.Abort):
         print("fic-sweep: interrupted", file=sys.stderr)
         return 1

@@ -1,7 +1,7 @@
 """From a sweep to a store: plan, blocks, engine, commit. Prints nothing; tells a callback."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
@@ -91,7 +91,7 @@ def run(store: Store, tell: Tell) -> Progress:
     return progress
 
 
-def _committed(store: Store, pending: list[Block]) -> Iterator[tuple[Block, int]]:
+def _committed(store: Store, pending: list[Block]) -> Generator[tuple[Block, int]]:
     """Compute the blocks and commit them: each one, with its diverged scenarios, once on disk.
 
     A block is written while the next one is computed. Whoever stops asking loses none that is

@@ -226,12 +226,6 @@ def test_export(ran):
     assert "tiny.csv: exists already" in again.stderr
 
 
-def test_bench_prints_a_ratio(folder):
-    small = ["bench", "--scenarios", "512", "--steps", "50", "--repeats", "1"]
-    assert "engine / plain" in call(folder, *small, code=0).stdout
-    assert '"engine_over_plain"' in call(folder, *small, "--json", code=0).stdout
-
-
 def test_a_line_now_and_then_without_a_terminal(ran):
     """Nothing but the summary for a run that is over at once: no bar, no control codes."""
     done = call(ran, "run", "tiny.toml", "--out", "again.zarr", code=0)

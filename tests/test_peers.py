@@ -10,7 +10,8 @@ import pytest
 import fic_jax
 from benchmarks.peers import Missing
 from fic_jax import METRICS, Metrics, Params
-from sweeps.bench import DT, _scenarios
+from sweeps.bench.arrangements import scenarios
+from sweeps.bench.plan import DT
 
 STEPS, N = 300, 512
 # What the seeded scenarios leave at its default.
@@ -32,7 +33,7 @@ def _batch(dtype: type) -> Params:
         return np.concatenate([*map(np.atleast_1d, leaves[:-1]), np.broadcast_to(leaves[-1], N)])
 
     return jax.tree.map(
-        lambda *leaves: column(*leaves).astype(dtype), *SPECIAL, overflowing, _scenarios(N)
+        lambda *leaves: column(*leaves).astype(dtype), *SPECIAL, overflowing, scenarios(N)
     )
 
 
