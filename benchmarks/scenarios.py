@@ -1,0 +1,53 @@
+"""Seeded scenarios on which accuracy is measured: approach, contact and welded."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fic_jax import Model, Params
+
+PERIOD = 0.01  # s, control period and distance of the samples
+N_SAMPLES = 1000  # 10 s
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Scenarios of one kind, `[N]` leaves, and the reading they are simulated with."""
+
+    name: str
+    batch: Params
+    model: Model
+
+
+def kinds(n: int, seed: int) -> list[Kind]:
+    """`n` scenarios of each kind, every leaf float64 `[n]`.
+
+    Approach: from rest through a gap of 0.05 to 0.5 rad, expected within 1 % of where it is.
+    Contact: hard stop, starts in contact. Welded: the same without a stop.
+    """
+    rng = np.random.default_rng(seed)
+    gap = rng.uniform(0.05, 0.5, n)
+    wall = {"gap": gap, "xd": gap * rng.choice([0.99, 1.0, 1.01], n)}
+    hard_stop, welded = Model(), Model(contact="welded")
+    return [
+        Kind("approach", _drawn(rng, n, wall), hard_stop),
+        Kind("contact", _drawn(rng, n, {}), hard_stop),
+        Kind("welded", _drawn(rng, n, {}), welded),
+    ]
+
+
+def _drawn(rng: np.random.Generator, n: int, wall: dict[str, np.ndarray]) -> Params:
+    """What all kinds draw alike, with the wall and the paper's values."""
+
+    def log(low: float, high: float) -> np.ndarray:
+        return np.exp(rng.uniform(np.log(low), np.log(high), n))
+
+    drawn = {
+        "K0": log(1.0, 1000.0),
+        "Kenv": log(10.0, 1000.0),
+        "Denv": log(1.0, 1000.0),
+        "Td": rng.uniform(1.0, 20.0, n),
+        "sigma": log(0.001, 0.1),
+    }
+    leaves = vars(Params(**drawn, **wall, period=PERIOD))
+    return Params(**{name: np.full(n, leaf, np.float64) for name, leaf in leaves.items()})
