@@ -1,5 +1,7 @@
 """How far a scenario's metrics are from what an ever shorter plant step would give."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 
@@ -20,7 +22,7 @@ def evaluate_with_error(
 
     The scenario also runs with plant steps of dt/2 and its switches located (`rk4_events`), with
     the same samples; the difference tells the error. A metric that is infinite in both runs has
-    none; `finite` says whether both runs stayed within the finite numbers.
+    none; where one of the runs left the finite numbers all are NaN, and `finite` is false.
 
     Raises ParamsError if a concrete value is out of bounds.
     """
@@ -41,7 +43,8 @@ def estimated(
         return jnp.where(a == b, 0.0, _TO_LIMIT[model.integrator] * jnp.abs(a - b))
 
     errors = jax.tree.map(error, metrics, companion)
-    return metrics, jax.tree.map(lambda e: jnp.where(finite, e, jnp.nan), errors)
+    errors = jax.tree.map(lambda e: jnp.where(finite, e, jnp.nan), errors)
+    return metrics, replace(errors, finite=finite)
 
 
 def trusted(metrics: Metrics, errors: Metrics) -> Scalar:

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from fic_jax.params import Model, Params, Scalar
-from fic_jax.profile import energy, force
+from fic_jax.profile import energy, force, force_beside
 
 REST_BAND = 0.01  # rad/s, below which `velocity_band` counts the joint as at rest
 
@@ -66,6 +66,11 @@ def latch(
     return Attractor(diverging, e_M, F_M, energy_slope, effort_slope)
 
 
+def left_behind(attractor: Attractor, e: Scalar) -> jax.Array:
+    """e_M (rad) after a motion under the attractor up to the error `e`."""
+    return jnp.where(attractor.diverging, e, attractor.e_M)
+
+
 def torque(
     e: Scalar,
     attractor: Attractor,
@@ -78,17 +83,17 @@ def torque(
 
     Diverging: F_K(e). Converging: slope * (e - e_M/2), with the slope 4 E_K(e_M)/e_M^2
     where |e| <= x0 and 2 F_K(e_M)/e_M beyond (`algorithm1`), or one of them throughout.
-    `side`, an error, says in place of e whether it is x0 or less; `F_K` is F_K(e), if known.
+    `side`, an error, chooses between the pieces in place of e; `F_K` is F_K(e), if known.
     """
+    side = e if side is None else side
     if model.law == "effort":
         slope = attractor.effort_slope
     elif model.law == "energy":
         slope = attractor.energy_slope
     else:
-        inside = jnp.abs(e if side is None else side) <= p.x0
-        slope = jnp.where(inside, attractor.energy_slope, attractor.effort_slope)
+        slope = jnp.where(jnp.abs(side) <= p.x0, attractor.energy_slope, attractor.effort_slope)
     converging = slope * (e - 0.5 * attractor.e_M)
-    F_K = force(e, p, side) if F_K is None else F_K
+    F_K = force_beside(e, side, p) if F_K is None else F_K
     tau = jnp.where(attractor.diverging, F_K, converging)
     # where, not clip: XLA's minimum and maximum look for NaN first, which costs twice as much
     return jnp.where(tau > p.Fmax, p.Fmax, jnp.where(tau < -p.Fmax, -p.Fmax, tau))

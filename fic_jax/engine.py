@@ -65,6 +65,14 @@ def tune_for_throughput(devices: int | None = None) -> None:
         return
     present = os.environ.get("XLA_FLAGS", "")
     wanted = [flag for flag in CPU_FLAGS if flag.split("=")[0] not in present]
+    kept = [flag for flag in CPU_FLAGS if flag not in (*wanted, *present.split())]
+    if kept:
+        names = ", ".join(flag.split("=")[0] for flag in kept)
+        warnings.warn(
+            f"XLA_FLAGS already has {names}: left as it is, sweeps may be slower",
+            RuntimeWarning,
+            stacklevel=2,
+        )
     os.environ["XLA_FLAGS"] = " ".join([present, *wanted]).strip()
 
 
@@ -161,7 +169,7 @@ def _compiled(
 ) -> tuple[Any, NamedSharding, Any]:
     """The program for one call, [field, device, block, lane] -> Metrics of [device, block, lane].
 
-    Also where its input lies, and the shapes of one block's result.
+    With `error_estimate` a pair of them. Also where its input lies, and a block's result's shapes.
 
     The number of blocks is a value, not a shape: a ragged end runs the same code on fewer blocks.
     """

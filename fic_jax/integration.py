@@ -1,10 +1,11 @@
 """How x and v move through one plant step: classic RK4, with the switches inside it located or not.
 
-The law and the environment switch at v = 0, e = 0, |e| = x0 and at the contact. `advance` is
-Simulink's ode4: branch and e_M are held for the step, the rest switches at whichever stage meets
-it, and every switch costs an error of first order. `advance_located` cuts the step at the
-switches: each segment stays on one smooth piece of the closed loop, chosen by a point just ahead
-of its start, and ends where the step's own interpolant crosses to the next.
+The law switches at v = 0, e = 0, |e| = x0 and |e| = xb, the environment where contact is made or
+lost. `advance` is Simulink's ode4: branch and e_M are held for the step, the rest switches at
+whichever stage meets it, and a switch costs an error of first order. `advance_located` cuts the
+step at its first switch: each segment stays on one piece of the closed loop, chosen by a point
+just ahead of its start, and ends where the step's own interpolant crosses to the next. The limit
++-Fmax, a kink where K0 x0 > Fmax or e outgrows e_M, is not located.
 """
 
 from dataclasses import dataclass, replace
@@ -13,7 +14,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from fic_jax.controller import REST_BAND, Attractor, departs, latch, torque
+from fic_jax.controller import REST_BAND, Attractor, departs, diverges, latch, left_behind, torque
 from fic_jax.environment import interaction_torque
 from fic_jax.params import Model, Params, Scalar
 
@@ -22,10 +23,9 @@ from fic_jax.params import Model, Params, Scalar
 SEGMENTS = 2
 # The point that chooses a segment's pieces lies this part of a plant step ahead of its start.
 AHEAD = 2.0**-10
-# Corrections to the place of a crossing: each doubles the correct digits, from some two of them.
-CORRECTIONS = {4: 2, 8: 3}  # by the bytes of a number
-# Where a motion meets the band at rest: within it, so that it counts as at rest until it is out.
-BAND_EDGE = (1.0 - 1e-6) * REST_BAND
+# Where a motion meets the band at rest: within it, so that it counts as at rest until it is out. An
+# acceleration that takes longer than AHEAD of a step for this 1e-9 rad/s is taken for none.
+BAND_EDGE = (1.0 - 1e-7) * REST_BAND
 
 
 @jax.tree_util.register_dataclass
@@ -92,25 +92,23 @@ def advance_located(
 ) -> tuple[Motion, Attractor]:
     """RK4 from switch to switch; `e_last` is |e| before this step's tick of Algorithm 2 (rad).
 
-    Also returns the attractor of the last segment, with e_M as the motion has left it.
+    Also returns the attractor of the last segment.
     """
-    grown = nowhere = jnp.zeros_like(start.x, bool)
+    nowhere = jnp.zeros_like(start.x, bool)
+    grown = nowhere
     if model.divergence == "error_rate":  # grown by the tick; within a step e v says so
-        grown = jnp.abs(x_h - start.x) > e_last
+        grown = diverges(x_h - start.x, start.v, e_last, model)
     motion, left = start, dt
     attractor, side = enter(p, motion, x_h, e_M, grown, model, dt)
-    for segment in range(SEGMENTS):
+    for _ in range(SEGMENTS - 1):
         slopes = stages(p, motion, x_h, attractor, model, left, side)
-        if segment == SEGMENTS - 1:
-            motion = end_of(motion, slopes, left)
-            break
         part, motion = until_switch(p, motion, x_h, slopes, model, left)
-        e_M = jnp.where(attractor.diverging, x_h - motion.x, attractor.e_M)
         left = jnp.where(part < 1.0, (1.0 - part) * left, 0.0)
+        e_M = left_behind(attractor, x_h - motion.x)
         entered = enter(p, motion, x_h, e_M, nowhere, model, dt)
         attractor, side = _where(left > 0.0, entered, (attractor, side))
-    e_M = jnp.where(attractor.diverging, x_h - motion.x, attractor.e_M)
-    return motion, replace(attractor, e_M=e_M)
+    slopes = stages(p, motion, x_h, attractor, model, left, side)
+    return end_of(motion, slopes, left), attractor
 
 
 def enter(
@@ -127,8 +125,12 @@ def enter(
     net = net - interaction_torque(at.x, at.v, p, model)
     soon = AHEAD * dt
     v = at.v + soon * net * (1.0 / p.I)
-    ahead = Motion(at.x + 0.5 * soon * (at.v + v), v, at.work)
-    diverging = attractor.diverging & departs(x_h - ahead.x, v, model)
+    way = 0.5 * soon * (at.v + v)
+    # Some units of the last place at least, or a slow motion would not get off the switch.
+    least = 4.0 * jnp.finfo(dt.dtype).eps * (jnp.abs(at.x) + jnp.abs(x_h))
+    way = jnp.where(jnp.abs(way) < least, jnp.sign(way) * least, way)
+    ahead = jax.lax.stop_gradient(Motion(at.x + way, v, at.work))  # it is only compared
+    diverging = attractor.diverging & departs(x_h - ahead.x, ahead.v, model)
     return replace(attractor, diverging=diverging), ahead
 
 
@@ -137,7 +139,8 @@ def until_switch(
 ) -> tuple[Scalar, Motion]:
     """Follow a segment to its first switch: the part of `h` it takes, 1 if there is none.
 
-    First v, as x only turns where v is 0: until then each x comes but once.
+    First v, as x only turns where v is 0: until then each x comes but once. A v that crosses 0
+    and is back within the segment is not seen.
     """
     path = Path.of(start, slopes, h)
     end = end_of(start, slopes, h)
@@ -159,7 +162,7 @@ def _speed_levels(model: Model) -> tuple[float, ...]:
 
 
 def _position_levels(p: Params, x_h: Scalar, model: Model) -> tuple[Scalar, ...]:
-    levels = (x_h, x_h - p.x0, x_h + p.x0)
+    levels = (x_h, x_h - p.x0, x_h + p.x0, x_h - p.xb, x_h + p.xb)
     return levels if model.contact == "welded" else (*levels, p.gap)
 
 
@@ -200,24 +203,37 @@ class Path:
     def part_at(self, name: str, rise: Scalar, rise_to: Scalar, until: Scalar) -> jax.Array:
         """The part of the step, up to `until`, at which coordinate `name` has risen by `rise`.
 
-        Newton's corrections from the chord to `rise_to`, kept in bounds. Only the last one is
-        differentiated: there it is the implicit function theorem.
+        At `until` it has risen by `rise_to`. Newton's corrections, kept in bounds, from the
+        parabola that has the first slope and both ends. Only the last one is differentiated:
+        there it is the implicit function theorem.
         """
         a, b, c = (getattr(k, name) for k in (self.linear, self.square, self.cubic))
 
         def corrected(part: Scalar, a: Scalar, b: Scalar, c: Scalar, rise: Scalar) -> jax.Array:
             slope = jax.lax.stop_gradient(a + part * (2.0 * b + part * 3.0 * c))
             miss = part * (a + part * (b + part * c)) - rise
-            flat = slope == 0.0
-            return part - jnp.where(flat, 0.0, miss / jnp.where(flat, 1.0, slope))
+            return part - _quotient(miss, slope)
 
         fixed = jax.lax.stop_gradient((a, b, c, rise))
-        level = rise_to == 0.0
         until = jax.lax.stop_gradient(until)
-        part = until * jax.lax.stop_gradient(rise / jnp.where(level, 1.0, rise_to))
-        for _ in range(CORRECTIONS[part.dtype.itemsize] - 1):
+        part = jax.lax.stop_gradient(_parabola(a, rise, rise_to, until))
+        if jnp.finfo(part.dtype).eps < 1e-10:  # one correction more for double precision
             part = jnp.clip(corrected(part, *fixed), 0.0, until)
-        return jnp.clip(corrected(part, a, b, c, rise), 0.0, until)
+        return jnp.clip(corrected(jnp.clip(part, 0.0, until), a, b, c, rise), 0.0, until)
+
+
+def _parabola(a: Scalar, rise: Scalar, rise_to: Scalar, until: Scalar) -> jax.Array:
+    """Where a t + q t^2 is `rise`, if it is `rise_to` at t = `until`: near a turn as elsewhere."""
+    q = _quotient(rise_to - a * until, until**2)
+    inside = a**2 + 4.0 * q * rise
+    root = jnp.sqrt(jnp.where(inside > 0.0, inside, 0.0))
+    return _quotient(2.0 * rise, a + jnp.where(rise < 0.0, -root, root))
+
+
+def _quotient(a: Scalar, b: Scalar) -> jax.Array:
+    """a/b, 0 where b is next to nothing."""
+    nothing = jnp.abs(b) < jnp.finfo(b.dtype).tiny
+    return jnp.where(nothing, 0.0, a / jnp.where(nothing, 1.0, b))
 
 
 def _where(condition: Scalar, this: Any, other: Any) -> Any:

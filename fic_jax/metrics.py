@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from fic_jax.environment import in_contact
-from fic_jax.params import Model, Params, Scalar
+from fic_jax.params import Model, Params, Scalar, check_count
 from fic_jax.simulation import Sample, checked, init, sampled
 
 SETTLING_BAND = 0.05  # of T_n: the torque has converged while it stays this close to it
@@ -162,6 +162,7 @@ def evaluate(
 
     Raises ParamsError if a concrete value is out of bounds.
     """
+    check_count("substeps", substeps)
     p, dt = checked(params, dt, n_steps)
     return compiled_evaluate(p, model, dt, n_steps, substeps)
 

@@ -161,13 +161,18 @@ def check_scalars(params: Params) -> None:
             raise ParamsError(name, f"of shape {np.shape(leaf)}", wanted)
 
 
+def check_count(name: str, value: Any) -> None:
+    """Raise ParamsError unless `value` is a whole number of at least 1."""
+    if not isinstance(value, int | np.integer) or value < 1:
+        raise ParamsError(name, value, "a whole number, at least 1")
+
+
 def check(params: Params, dt: float, n_steps: int = 1) -> None:
     """Raise ParamsError for the first value no scenario may have; leaves may be `[N]` arrays.
 
     Called once, at the boundary where numbers are still concrete; a tracer passes unchecked.
     """
-    if not isinstance(n_steps, int | np.integer) or n_steps < 1:
-        raise ParamsError("n_steps", n_steps, "a whole number, at least 1")
+    check_count("n_steps", n_steps)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in [dt, *jax.tree.leaves(params)]):
         return
     if not (np.isfinite(dt) and dt > 0):

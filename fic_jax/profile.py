@@ -13,31 +13,33 @@ def _decay(e_abs: Scalar, p: Params) -> jax.Array:
     return jnp.exp(short_of * (p.S / (p.xb - p.x0)))
 
 
-def force(e: Scalar, p: Params, side: Scalar = None) -> jax.Array:
+def force(e: Scalar, p: Params) -> jax.Array:
     """Torque of the nonlinear spring, N*m, odd and continuous in the error `e` (rad).
 
-        F_K = sgn(e) * { K0 |e|                                  |e| < x0
-                       { dF (1 - exp(-(|e| - x0)/b)) + K0 x0     x0 <= |e| < xb
+        F_K = sgn(e) * { K0 |e|                                  |e| <= x0
+                       { dF (1 - exp(-(|e| - x0)/b)) + K0 x0     x0 < |e| < xb
                        { Fmax                                    xb <= |e|
 
     with dF = Fmax - K0 x0 and b = (xb - x0)/S (eq. 1). It is not limited to Fmax: where
     K0 x0 > Fmax the profile overshoots between x0 and xb, and the controller clips its torque.
-    `side`, an error, chooses between the linear and the other pieces in place of e: a step that
-    ends where |e| = x0 stays on one smooth piece.
     """
-    e_abs = jnp.abs(e)
+    return force_beside(e, e, p)
+
+
+def force_beside(e: Scalar, side: Scalar, p: Params) -> jax.Array:
+    """`force` by the piece on which the error `side` lies, whichever e lies on."""
     dF = p.Fmax - p.K0 * p.x0
-    # written so that NaN stays NaN
-    magnitude = p.Fmax - jnp.where(e_abs >= p.xb, 0.0, dF * _decay(e_abs, p))
+    beyond = jnp.abs(side)
+    # written so that NaN stays NaN; K0 x0 + dF is Fmax
+    magnitude = p.Fmax - jnp.where(beyond >= p.xb, 0.0, dF * _decay(jnp.abs(e), p))
     # The linear branch is odd by itself; |e| has no gradient at 0 and is only used beyond x0.
-    linear = jnp.abs(e if side is None else side) <= p.x0
-    return jnp.where(linear, p.K0 * e, jnp.where(e < 0.0, -magnitude, magnitude))
+    return jnp.where(beyond <= p.x0, p.K0 * e, jnp.where(e < 0.0, -magnitude, magnitude))
 
 
 def energy(e: Scalar, p: Params) -> jax.Array:
     """Energy stored in the nonlinear spring, J, even in the error `e` (rad): dE/de = F_K.
 
-        E_K = { K0 e^2 / 2                                                      |e| < x0
+        E_K = { K0 e^2 / 2                                                      |e| <= x0
               { Fmax (|e| - x0) + K0 x0^2 / 2 - b dF (1 - exp(-(m - x0)/b))     otherwise
 
     with m = min(|e|, xb). This is the integral of eq. 1; the printed eq. 2 has stray signs.
@@ -47,4 +49,4 @@ def energy(e: Scalar, p: Params) -> jax.Array:
     dF = p.Fmax - p.K0 * p.x0
     decay = jnp.where(e_abs < p.xb, _decay(e_abs, p), jnp.exp(-p.S))
     beyond = p.Fmax * (e_abs - p.x0) + 0.5 * p.K0 * p.x0**2 - b * dF * (1.0 - decay)
-    return jnp.where(e_abs < p.x0, 0.5 * p.K0 * e**2, beyond)
+    return jnp.where(e_abs <= p.x0, 0.5 * p.K0 * e**2, beyond)

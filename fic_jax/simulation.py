@@ -1,4 +1,4 @@
-"""One plant step of one scenario, and a rollout of many: the only place where time advances."""
+"""One plant step of one scenario, and a rollout of many: where time advances."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -6,7 +6,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
-from fic_jax.controller import Attractor, diverges, latch, torque
+from fic_jax.controller import Attractor, diverges, latch, left_behind, torque
 from fic_jax.environment import interaction_torque
 from fic_jax.exploration import expected_reference, explore
 from fic_jax.integration import Motion, advance, advance_located
@@ -20,7 +20,7 @@ class Memory:
 
     x_h: Scalar  # rad, exploring reference (Algorithm 2)
     e_M: Scalar  # rad, signed peak error (Algorithm 1)
-    e_last: Scalar  # rad, |e| at the last decision, 0 before the first
+    e_last: Scalar  # rad, |e| at the last decision (rk4_events: at the end of the last step)
     countdown: Scalar  # plant steps until Algorithm 2 ticks, int32
 
 
@@ -46,8 +46,8 @@ class Sample:
     v: Scalar  # rad/s
     x_h: Scalar  # rad, reference held in the step
     e: Scalar  # rad, x_h - x
-    e_M: Scalar  # rad, peak error held in the step
-    diverging: Scalar  # bool, branch held in the step
+    e_M: Scalar  # rad, peak error held in the step (rk4_events: at its end)
+    diverging: Scalar  # bool, branch held in the step (rk4_events: at its end)
     torque: Scalar  # N*m, of the controller
     tau_env: Scalar  # N*m, on the environment
     work: Scalar  # J, done by the controller in the step
@@ -89,7 +89,8 @@ def advanced(p: Params, state: State, model: Model, dt: Scalar) -> tuple[Memory,
     old = state.memory
     x_h, countdown = explore(old.x_h, old.countdown, state.x, state.measured, p, dt)
     motion, attractor = advance_located(p, start, x_h, old.e_M, old.e_last, model, dt)
-    return Memory(x_h, attractor.e_M, jnp.abs(x_h - motion.x), countdown), attractor, motion
+    e = x_h - motion.x
+    return Memory(x_h, left_behind(attractor, e), jnp.abs(e), countdown), attractor, motion
 
 
 def plant_step(p: Params, state: State, model: Model, dt: Scalar) -> tuple[State, Sample]:
@@ -102,8 +103,8 @@ def plant_step(p: Params, state: State, model: Model, dt: Scalar) -> tuple[State
     measured = tau_env if model.feedback == "interaction" else tau
     k = state.k + 1
     t = k.astype(dt.dtype) * dt
-    held = attractor.e_M, attractor.diverging
-    sample = Sample(t, x, v, memory.x_h, e, *held, tau, tau_env, motion.work)
+    diverging = attractor.diverging
+    sample = Sample(t, x, v, memory.x_h, e, memory.e_M, diverging, tau, tau_env, motion.work)
     return State(k, x, v, measured, memory), sample
 
 
@@ -171,7 +172,8 @@ def control(
 
     Jitted; call it once every `dt` seconds with the position x (rad), velocity v (rad/s) and
     measured torque (N*m); `init(params, model).memory` is the first memory. `Params.period` must
-    be a multiple of `dt`. Of `params` only the controller's own fields are read.
+    be a multiple of `dt`. Of `params` only the controller's own fields are read, of `model` all
+    but `contact` and `integrator`: the plant is yours.
     """
     p, dt = canonical_with(params, dt)
     x, v, tau_measured = (strong(a, dt.dtype) for a in (x, v, tau_measured))

@@ -17,13 +17,16 @@ def programs() -> Path | None:
     chosen = os.environ.get(VARIABLE)
     if chosen == "":
         return None
-    user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    folder = (Path(chosen) if chosen else user / "fic-sweep") / _processor()
     try:
+        folder = (Path(chosen) if chosen else _of_user()) / _processor()
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError:  # a home that is not ours to write in is no reason not to run
+    except (OSError, RuntimeError):  # no home, or not ours to write in: no reason not to run
         return None
     return folder if os.access(folder, os.W_OK) else None
+
+
+def _of_user() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fic-sweep"
 
 
 def _processor() -> str:

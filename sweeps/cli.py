@@ -299,12 +299,15 @@ def _stop_between_blocks() -> list[int]:
 def _carry_out(store: "Store", asked: list[int]) -> None:
     """Run a store to its end, with progress; whatever happens, finished blocks stay."""
     from sweeps.messages import interruption, summary
+    from sweeps.runner import run
 
     try:
         result = (_with_bar if sys.stdout.isatty() else _with_lines)(store, asked)
     except (KeyboardInterrupt, OSError) as error:
-        print(f"fic-sweep: {interruption(store, error)}", file=sys.stderr)
-        raise typer.Exit(1) from None
+        if isinstance(error, OSError) or store.pending():
+            print(f"fic-sweep: {interruption(store, error)}", file=sys.stderr)
+            raise typer.Exit(1) from None
+        result = run(store, lambda _: None)  # the block in hand was the last: only its end is left
     print(summary(store, result))
 
 

@@ -24,13 +24,15 @@ from sweeps.validation import out_of_bounds
 STABLE = 2.78  # |lambda| dt beyond which RK4 diverges on a linear system
 ACCURATE = 1.0  # |lambda| dt up to which a step resolves it
 
+CACHE_BYTES = 100_000_000  # of compiled programs, 0.1 MB each
+
 MEASURED_STEPS = 30_000_000  # plant steps of a dry run's measurement, some tenths of a second
 MEASURED_LEAST = 512  # scenarios, so that no device has idle lanes
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Told once before the first block and once after each."""
+    """Told once before the first block and once after each that is on disk."""
 
     cells: int  # of the whole sweep
     done: int  # cells in the store
@@ -47,9 +49,11 @@ def configure(precision: int) -> None:
     tune_for_throughput()
     jax.config.update("jax_enable_x64", precision == 64)
     kept = programs()
-    if kept is not None:
+    own = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
+    if kept is not None and not own:
         jax.config.update("jax_compilation_cache_dir", str(kept))
-        jax.config.update("jax_raise_persistent_cache_errors", False)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+        jax.config.update("jax_compilation_cache_max_size", CACHE_BYTES)
 
 
 def start(path: Path, plan: Sweep, chunk: int | None, precision: int) -> Store:
@@ -81,9 +85,9 @@ def run(store: Store, tell: Tell) -> Progress:
     progress = Progress(grid.cells, grid.cells - todo, 0, 0, 0.0)
     tell(progress)
     with closing(_committed(store, pending)) as committed:
-        for block, lost in committed:
+        for block, lost, when in committed:
             ran, diverged = progress.ran + _cells(block), progress.diverged + lost
-            seconds = time.perf_counter() - began
+            seconds = when - began
             progress = Progress(grid.cells, grid.cells - todo + ran, ran, diverged, seconds)
             tell(progress)
     if "end" not in store.group.attrs:  # also where an interruption came just before this line
@@ -91,21 +95,25 @@ def run(store: Store, tell: Tell) -> Progress:
     return progress
 
 
-def _committed(store: Store, pending: list[Block]) -> Generator[tuple[Block, int]]:
-    """Compute the blocks and commit them: each one, with its diverged scenarios, once on disk.
+def _committed(store: Store, pending: list[Block]) -> Generator[tuple[Block, int, float]]:
+    """Compute the blocks and commit them: each, its diverged scenarios, and when it was on disk.
 
-    A block is written while the next one is computed. Whoever stops asking loses none that is
-    computed: closing waits until it is written.
+    A block is written while the next one is computed, and told of after that. Whoever stops
+    asking loses none that is computed: closing waits until it is written.
     """
+
+    def write(block: Block, metrics: Metrics, errors: Metrics | None) -> tuple[int, float]:
+        return store.write(block, metrics, errors), time.perf_counter()
+
     with ThreadPoolExecutor(1) as writer:
-        last: tuple[Block, Future[int]] | None = None
+        last: tuple[Block, Future[tuple[int, float]]] | None = None
         for block in pending:
             result = _compute(store.grid, block, store.dtype)
-            before, last = last, (block, writer.submit(store.write, block, *result))
+            before, last = last, (block, writer.submit(write, block, *result))
             if before:
-                yield before[0], before[1].result()
+                yield before[0], *before[1].result()
         if last:
-            yield last[0], last[1].result()
+            yield last[0], *last[1].result()
 
 
 def _compute(

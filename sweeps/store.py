@@ -110,10 +110,11 @@ def open_store(path: Path, mode: Any = "r+") -> Store:
         estimated = bool(attributes.get("error_estimate"))  # older stores don't say
         sweep = Sweep.model_validate_json(record).model_copy(update={"error_estimate": estimated})
         chunk, written = int(str(attributes["block_cells"])), attributes["sweep_sha256"]
+        written_format = attributes["format"]
     except (KeyError, ValueError, OSError) as error:
         raise SweepError(f"{path}: is no result store of fic-sweep ({error})"[:200]) from None
-    if attributes["format"] != FORMAT:
-        raise SweepError(f"{path}: has format {attributes['format']}; this program reads {FORMAT}")
+    if written_format != FORMAT:
+        raise SweepError(f"{path}: has format {written_format}; this program reads {FORMAT}")
     if sha256(record) != written:
         raise SweepError(f"{path}: its sweep record differs from the one that began it")
     return Store(path, Grid(sweep, chunk), group)

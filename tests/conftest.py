@@ -16,6 +16,9 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
-# Commands that tests start keep their programs here, and not with the user's.
-os.environ[VARIABLE] = tempfile.mkdtemp(prefix="fic-sweep-")
-atexit.register(shutil.rmtree, os.environ[VARIABLE], ignore_errors=True)
+# Programs are compiled once for all workers and for the commands that tests start, and kept apart
+# from the user's. The first process makes the folder, and removes it; the others inherit its name.
+if VARIABLE not in os.environ:
+    os.environ[VARIABLE] = tempfile.mkdtemp(prefix="fic-sweep-")
+    atexit.register(shutil.rmtree, os.environ[VARIABLE], ignore_errors=True)
+jax.config.update("jax_compilation_cache_dir", os.environ[VARIABLE])

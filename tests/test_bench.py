@@ -53,8 +53,7 @@ def call(environment, *arguments, code):
     return done
 
 
-@pytest.fixture(scope="module")
-def result(bare):
+def measured(bare):
     """Every table, asked for in two parts."""
     asked = ("--only", "rates"), ("--only", "scaling", "--only", "run", "--only", "first")
     parts = [json.loads(call(bare, *SMALL, "--json", *only, code=0).stdout) for only in asked]
@@ -62,7 +61,15 @@ def result(bare):
     return parts[0] | {"tables": parts[0]["tables"] | parts[1]["tables"]}
 
 
-def test_every_table_for_machines(result):
+def test_every_table_in_every_form(bare):
+    """One test, since the tables take a while and workers share nothing."""
+    result = measured(bare)
+    tables_are_complete(result)
+    rates_name_who_is_missing(result)
+    readers_get_the_same(result)
+
+
+def tables_are_complete(result):
     assert set(result) == {"machine", "versions", "settings", "tables"}
     assert set(result["machine"]) == {"cpu", "architecture", "cores", "vector", "load"}
     assert {"python", "jax", "jaxlib", "numpy", "fic_jax", "c++"} <= set(result["versions"])
@@ -77,7 +84,7 @@ def test_every_table_for_machines(result):
     assert 0.05e9 < run["peak_bytes"]["value"] < 1.5e9
 
 
-def test_rates_and_who_is_missing(result):
+def rates_name_who_is_missing(result):
     table = result["tables"]["rates"]
     rows = {row["kind"]: row for row in table["rows"]}
     assert set(rows) == {peer.kind for peer in PEERS} - set(TWINS)
@@ -92,7 +99,7 @@ def test_rates_and_who_is_missing(result):
     }
 
 
-def test_the_same_for_readers(result):
+def readers_get_the_same(result):
     text, markdown = as_text(result), as_markdown(result)
     for words in (
         result["machine"]["cpu"],

@@ -19,11 +19,7 @@ N_STEPS = round(T_END / DT)
 CHANNELS = ("x", "v", "x_h", "e", "e_M", "torque", "tau_env", "work")
 SCENARIOS = random_scenarios(648, seed=20201)  # 6 for each of the 108 combinations of readings
 GROUPS = 12
-# Both tests of a group run in one process, where its nine models are compiled once.
-in_groups = pytest.mark.parametrize(
-    "group",
-    [pytest.param(g, marks=pytest.mark.xdist_group(f"reference{g}")) for g in range(GROUPS)],
-)
+in_groups = pytest.mark.parametrize("group", range(GROUPS))
 
 
 @partial(jax.jit, static_argnames=("model", "n_steps"))

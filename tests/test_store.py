@@ -267,9 +267,6 @@ Denv = [0.0, 63.2]
 """
 
 
-one_worker = pytest.mark.xdist_group("estimates")  # ten seconds of compilation in each
-
-
 @pytest.fixture(scope="module")
 def doubted():
     return parse(ESTIMATED, "estimated.toml")
@@ -282,7 +279,6 @@ def estimated(tmp_path_factory, doubted):
     return path
 
 
-@one_worker
 def test_estimates_are_those_of_the_engine_and_change_no_metric(tmp_path, doubted, estimated):
     grid = Grid(doubted)
     batch = {k: np.float32(v) for k, v in vars(grid.params(next(grid.blocks()))).items()}
@@ -308,7 +304,6 @@ def test_estimates_are_those_of_the_engine_and_change_no_metric(tmp_path, doubte
     assert without == {name: whole[name] for name in without}
 
 
-@one_worker
 def test_estimates_say_what_they_are(tmp_path, plan, estimated):
     bare = runner.start(tmp_path / "bare.zarr", plan, None, 32)
     assert bare.trusted() is None
@@ -329,7 +324,6 @@ def test_estimates_say_what_they_are(tmp_path, plan, estimated):
             assert errors[key] == metric[key]
 
 
-@one_worker
 def test_an_interruption_before_the_status_trusts_nothing_and_resume_does_the_rest(
     tmp_path, doubted, estimated, monkeypatch
 ):
@@ -363,7 +357,6 @@ def test_an_interruption_before_the_status_trusts_nothing_and_resume_does_the_re
     )
 
 
-@one_worker
 def test_a_store_without_nmse_knows_what_is_trusted(tmp_path, doubted, estimated):
     few = parse(ESTIMATED, "f", ('metrics=["peak_torque"]',))
     complete(tmp_path / "few.zarr", few)
@@ -372,7 +365,6 @@ def test_a_store_without_nmse_knows_what_is_trusted(tmp_path, doubted, estimated
     np.testing.assert_array_equal(data["trusted"], store.dataset(estimated)["trusted"])
 
 
-@one_worker
 def test_a_dry_run_accounts_for_estimates(doubted):
     grid = Grid(doubted)
     assert layout.size(grid, "float32") == 30 * (2 * 10 * 4 + 2) + (5 + 3 + 2 * 2) * 8
@@ -383,7 +375,6 @@ def test_a_dry_run_accounts_for_estimates(doubted):
     assert Grid(long).block_cells < Grid(plain).block_cells  # a block stays a second or two
 
 
-@one_worker
 def test_exports_carry_estimates_in_order(tmp_path, doubted, estimated):
     (table,) = tables(store.dataset(estimated))
     errors = [f"{name}_error" for name in doubted.metrics]

@@ -87,13 +87,14 @@ def _build(compiler: str, target: Path) -> None:
     """Compile beside the target and rename, so that nobody loads half a library."""
     with tempfile.TemporaryDirectory(dir=target.parent) as folder:
         fresh = Path(folder) / target.name
-        _output([compiler, *FLAGS, str(SOURCE), "-o", str(fresh)])
+        subprocess.run([compiler, *FLAGS, str(SOURCE), "-o", str(fresh)], check=True)
         fresh.replace(target)
 
 
 def _output(command: list[str]) -> str:
+    """What a compiler says of itself. Raises Missing if it doesn't, as one that is not GCC."""
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        raise Missing(f"{Path(command[0]).name} could not build the twin: {last}")
+        raise Missing(f"{Path(command[0]).name} is not the compiler the twin is for: {last}")
     return done.stdout

@@ -71,17 +71,13 @@ def prepare(kind: str, batch: Params, steps: int) -> Callable[[], Any]:
     if kind == "plain":
         return _plain(batch, steps)
     try:
-        twin = import_module(f"benchmarks.peers.{TWINS[kind]}")
-        missing = import_module("benchmarks.peers").Missing
-    except ImportError as error:
-        if (error.name or "").startswith("benchmarks"):
-            raise Missing("not found: it comes with the source checkout") from None
-        raise Missing(f"not found: {error}") from None
-    except Exception as error:  # numba_kernel tells at its import that numba is not there
-        raise Missing(str(error)) from None
+        peers = import_module("benchmarks.peers")
+    except ImportError:
+        raise Missing("not found: it comes with the source checkout") from None
     try:
+        twin = import_module(f"benchmarks.peers.{TWINS[kind]}")  # it may miss something already
         return twin.prepare(batch, DT, steps, threads=cores())
-    except missing as error:
+    except peers.Missing as error:
         raise Missing(str(error)) from None
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -65,10 +66,7 @@ class Child:
         return float(self._ask(size))
 
     def _set_up(self) -> None:
-        try:
-            answer = json.loads(self._ask(self._setting))
-        except BenchError as error:
-            answer = {"missing": str(error)}
+        answer = json.loads(self._ask(self._setting))
         self.missing = answer.get("missing")
         if self.missing is None:
             self.sizes, self.first_s = answer["sizes"], answer["first_s"]
@@ -135,5 +133,8 @@ def whole(folder: Path, *arguments: str, cache: Path, report: bool = False) -> W
 
 
 def _last_line(errors: IO[str]) -> str:
+    """What a process ended with: its error, or else its last words."""
     errors.seek(0)
-    return (errors.read().strip().splitlines() or ["without a word"])[-1]
+    lines = errors.read().strip().splitlines() or ["without a word"]
+    named = [line for line in lines if re.match(r"[\w.]+(Error|Exception|Interrupt)\b", line)]
+    return (named or lines)[-1]

@@ -21,7 +21,8 @@ def main() -> None:
         from sweeps.cli import main as fic_sweep
 
         fic_sweep()
-    _with_report(Path(report), float(began))
+    else:
+        _with_report(Path(report), float(began))
 
 
 def _end_with_stdin() -> None:
