@@ -24,8 +24,6 @@ from sweeps.validation import out_of_bounds
 STABLE = 2.78  # |lambda| dt beyond which RK4 diverges on a linear system
 ACCURATE = 1.0  # |lambda| dt up to which a step resolves it
 
-CACHE_BYTES = 100_000_000  # of compiled programs, 0.1 MB each
-
 MEASURED_STEPS = 30_000_000  # plant steps of a dry run's measurement, some tenths of a second
 MEASURED_LEAST = 512  # scenarios, so that no device has idle lanes
 
@@ -53,7 +51,6 @@ def configure(precision: int) -> None:
     if kept is not None and not own:
         jax.config.update("jax_compilation_cache_dir", str(kept))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
-        jax.config.update("jax_compilation_cache_max_size", CACHE_BYTES)
 
 
 def start(path: Path, plan: Sweep, chunk: int | None, precision: int) -> Store:
