@@ -36,15 +36,19 @@ def estimated(
     """`evaluate_with_error` on canonical numbers; `unroll` as in `compiled_evaluate`."""
     metrics = compiled_evaluate(p, model, dt, n_steps, unroll=unroll)
     companion = compiled_evaluate(p, model.with_events(), dt, n_steps, substeps=2)
-    finite = metrics.finite & companion.finite
+    return metrics, difference(metrics, companion, model)
+
+
+def difference(metrics: Metrics, companion: Metrics, model: Model) -> Metrics:
+    """The error of each metric by the run that accompanied it."""
+    finite, dtype = metrics.finite & companion.finite, metrics.nmse.dtype
 
     def error(a: jax.Array, b: jax.Array) -> jax.Array:
-        a, b = a.astype(dt.dtype), b.astype(dt.dtype)
-        return jnp.where(a == b, 0.0, _TO_LIMIT[model.integrator] * jnp.abs(a - b))
+        a, b = a.astype(dtype), b.astype(dtype)
+        apart = jnp.where(a == b, 0.0, _TO_LIMIT[model.integrator] * jnp.abs(a - b))
+        return jnp.where(finite, apart, jnp.nan)
 
-    errors = jax.tree.map(error, metrics, companion)
-    errors = jax.tree.map(lambda e: jnp.where(finite, e, jnp.nan), errors)
-    return metrics, replace(errors, finite=finite)
+    return replace(jax.tree.map(error, metrics, companion), finite=finite)
 
 
 def trusted(metrics: Metrics, errors: Metrics) -> Scalar:

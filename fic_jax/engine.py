@@ -17,8 +17,8 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
-from fic_jax.accuracy import estimated
-from fic_jax.metrics import Metrics, compiled_evaluate
+from fic_jax.accuracy import difference, estimated
+from fic_jax.metrics import Metrics, blank, compiled_evaluate
 from fic_jax.params import QUANTITIES, Model, Params, ParamsError, check
 
 # Scenarios that advance together. Their state has to stay in the L1 cache and fill whole vectors;
@@ -159,6 +159,17 @@ def _unpack(computed: Any, out: Any, part: slice, blocks: np.int32) -> None:
         values[part] = np.asarray(source)[:, :blocks].reshape(-1)[: part.stop - part.start]
 
 
+def _result(model: Model, error_estimate: bool, dtype: np.dtype) -> Any:
+    """The types of one scenario's result, without tracing its time loop."""
+
+    def of(p: Params, dt: jax.Array) -> Any:
+        metrics = blank(p, dt)
+        return (metrics, difference(metrics, metrics, model)) if error_estimate else metrics
+
+    scalar = jax.ShapeDtypeStruct((), dtype)
+    return jax.eval_shape(of, Params(**dict.fromkeys(QUANTITIES, scalar)), scalar)
+
+
 @lru_cache
 def _compiled(
     model: Model,
@@ -169,7 +180,7 @@ def _compiled(
 ) -> tuple[Any, NamedSharding, Any]:
     """The program for one call, [field, device, block, lane] -> Metrics of [device, block, lane].
 
-    With `error_estimate` a pair of them. Also where its input lies, and a block's result's shapes.
+    With `error_estimate` a pair of them. Also where its input lies, and the types of a result.
 
     The number of blocks is a value, not a shape: a ragged end runs the same code on fewer blocks.
     """
@@ -181,8 +192,7 @@ def _compiled(
         return one(params, model, dt, n_steps, unroll=unroll)
 
     block = jax.vmap(scenario, in_axes=(1, None))
-    columns = jax.ShapeDtypeStruct((len(QUANTITIES), LANES), dtype)
-    result = jax.eval_shape(block, columns, jax.ShapeDtypeStruct((), dtype))
+    result = _result(model, error_estimate, dtype)
 
     def on_device(columns: jax.Array, dt: jax.Array, blocks: jax.Array) -> Any:
         columns = columns[:, 0]
@@ -190,7 +200,7 @@ def _compiled(
         def body(i: jax.Array, out: Any) -> Any:
             return jax.tree.map(lambda o, m: o.at[i].set(m), out, block(columns[:, i], dt))
 
-        out = jax.tree.map(lambda s: jnp.zeros((BLOCKS, *s.shape), s.dtype), result)
+        out = jax.tree.map(lambda leaf: jnp.zeros((BLOCKS, LANES), leaf.dtype), result)
         out = jax.lax.fori_loop(0, blocks, body, out)
         return jax.tree.map(lambda o: o[None], out)
 

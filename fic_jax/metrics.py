@@ -152,6 +152,11 @@ def finish(acc: Accumulator, x: Scalar, v: Scalar, n_steps: int, dt: jax.Array) 
     )
 
 
+def blank(p: Params, dt: Scalar) -> Metrics:
+    """Metrics of no run at all, with the types of any."""
+    return finish(empty(p), p.x_init, p.v_init, 2, dt)
+
+
 def evaluate(
     params: Params, *, model: Model = Model(), dt: Scalar, n_steps: int, substeps: int = 1
 ) -> Metrics:

@@ -14,7 +14,7 @@ from sweeps.spec import Sweep
 
 # A block is the unit of work, of storage and of what an interruption costs: a second or two, unless
 # a scenario is so long that the smallest block takes more.
-BLOCK_STEPS = 150_000_000
+BLOCK_STEPS = 300_000_000
 SMALLEST_BLOCK, LARGEST_BLOCK = 4_096, 1_000_000
 ESTIMATE_COST = 9  # times the work of a scenario: two runs, one of smaller steps with events
 
