@@ -309,6 +309,33 @@ def test_order_at_a_crossing(integrator, lowest, highest):
     assert lowest < order < highest
 
 
+@pytest.mark.parametrize("S", [20.0, 1.0])
+def test_order_through_the_end_of_the_profile(S):
+    """|e| = xb, where eq. 1 jumps by dF exp(-S) and its slope by dF/b exp(-S): order two or more.
+
+    Free and diverging from |e| < x0 to beyond xb, against 16 times the steps.
+    """
+    phases, t_end = 16, 0.3
+    v = -1.0 - 0.05 * np.arange(phases) / phases
+    p = batch_of(phases, gap=10.0, sigma=0.0, xd=-0.05, S=S, xb=0.2, v_init=v, period=t_end)
+    steps, errors = [30, 60, 120], []
+    fine = simulate(p, t_end / 1920, EVENTS, 1920).x[:, -1]
+    assert (np.abs(fine) > 0.25).all()
+    for n in steps:  # always 120 steps, which is one program
+        x = simulate(p, t_end / n, EVENTS, steps[-1]).x[:, n - 1]
+        errors.append(np.mean(np.abs(x - fine)))
+    assert -np.polyfit(np.log(steps), np.log(errors), 1)[0] > 2.0
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_slow_motion_off_the_wall_is_not_pulled(dtype):
+    """x = gap at -1 mm/s: the point ahead has to lie outside the wall in single precision too."""
+    p = Params(**NO_TORQUE, gap=0.5, x_init=0.5, v_init=-1e-3)
+    p = jax.tree.map(dtype, p)
+    s = rollout(p, model=Model(contact="damped_rebound").with_events(), dt=dtype(DT), n_steps=3)
+    np.testing.assert_allclose(s.v, -1e-3, rtol=1e-6)
+
+
 # Gradients ---------------------------------------------------------------------------------------
 
 WALL = ("gap", "Kenv", "v_init")

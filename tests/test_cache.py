@@ -52,3 +52,13 @@ def test_the_folder_is_the_users_choice(tmp_path, monkeypatch):
 def test_nothing_is_kept_where_it_is_not_wanted_or_can_not_be(kept, monkeypatch):
     monkeypatch.setenv(cache.VARIABLE, kept)
     assert cache.programs() is None
+
+
+def test_nothing_is_kept_without_a_home(monkeypatch):
+    def homeless():
+        raise RuntimeError("Could not determine home directory.")
+
+    for name in (cache.VARIABLE, "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(Path, "home", homeless)
+    assert cache.programs() is None

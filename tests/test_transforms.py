@@ -92,6 +92,28 @@ def test_any_block_size_gives_the_same_bits(lanes, blocks, monkeypatch):
     _compiled.cache_clear()
 
 
+@pytest.mark.parametrize("wrong", [0, -1, 1.5])
+def test_substeps_are_counted(wrong):
+    with pytest.raises(ParamsError, match="`substeps` must be a whole number, at least 1"):
+        evaluate(APPROACH, dt=DT, n_steps=10, substeps=wrong)
+
+
+WITH_A_FLAG = """
+import os, sys, warnings
+os.environ["XLA_FLAGS"] = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true"
+import fic_jax
+with warnings.catch_warnings(record=True) as told:
+    warnings.simplefilter("always")
+    fic_jax.tune_for_throughput(1)
+assert len(told) == 1 and "XLA_FLAGS already has" in str(told[0].message), told
+assert os.environ["XLA_FLAGS"].count("extra_options") == 1
+"""
+
+
+def test_flags_already_there_are_kept_with_a_warning():
+    subprocess.run([sys.executable, "-c", WITH_A_FLAG], check=True)
+
+
 WITHOUT_FLAGS = """
 import os, sys, warnings
 import numpy as np
