@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from fic_jax import CHOICES, Model, Params, energy, evaluate, force, rollout
 from fic_jax.controller import diverges, latch, torque
+from fic_jax.stiffness import fastest_rate
 
 DT, N_STEPS = 0.01, 300
 
@@ -110,10 +111,13 @@ def test_mirrored_scenario_gives_mirrored_motion(divergence, peak, p):
 @law
 @given(p=scenarios())
 def test_metrics_are_those_of_the_samples(model, p):
-    """nmse >= 0, the tail is part of the whole, times lie on the grid, counts agree."""
+    """nmse >= 0, the tail is part of the whole, times lie on the grid, counts agree.
+
+    Where RK4 itself is unstable two programs that round differently part; only there.
+    """
     s, m = roll(p, model=model), reduce(p, model=model)
     T = np.asarray(s.tau_env)
-    if not m.finite:
+    if not m.finite or fastest_rate(p) * DT > 2.0:
         return
     assert m.nmse >= 0.0
     tail = N_STEPS - N_STEPS // 2
