@@ -126,9 +126,9 @@ def enter(
     soon = AHEAD * dt
     v = at.v + soon * net * (1.0 / p.I)
     way = 0.5 * soon * (at.v + v)
-    # Some units of the last place at least, or a slow motion would not get off the switch.
-    least = 4.0 * jnp.finfo(dt.dtype).eps * (jnp.abs(at.x) + jnp.abs(x_h))
-    way = jnp.where(jnp.abs(way) < least, jnp.sign(way) * least, way)
+    # And some units of the last place, or a slow motion would not get off the switch.
+    least = 4.0 * jnp.finfo(at.x.dtype).eps * (jnp.abs(at.x) + jnp.abs(x_h))
+    way = jnp.where(way < 0.0, way - least, way + least)
     ahead = jax.lax.stop_gradient(Motion(at.x + way, v, at.work))  # it is only compared
     diverging = attractor.diverging & departs(x_h - ahead.x, ahead.v, model)
     return replace(attractor, diverging=diverging), ahead
@@ -168,11 +168,10 @@ def _position_levels(p: Params, x_h: Scalar, model: Model) -> tuple[Scalar, ...]
 
 def _first(levels: tuple[Scalar, ...], start: Scalar, end: Scalar) -> tuple[Scalar, Scalar]:
     """The first of the levels strictly between start and end, and whether there is one."""
-    first, found = end, jnp.zeros_like(start, bool)
+    first = end
     for level in levels:
-        passed = ((level > start) & (level < first)) | ((level < start) & (level > first))
-        first, found = jnp.where(passed, level, first), found | passed
-    return first, found
+        first = jnp.where((level - start) * (first - level) > 0.0, level, first)
+    return first, (first < end) | (first > end)
 
 
 @dataclass(frozen=True)
