@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fic_jax import CHOICES, Model, Params, energy, evaluate, force, rollout
+from fic_jax import CHOICES, Model, Params, energy, force, rollout
 from fic_jax.controller import diverges, latch, torque
-from fic_jax.stiffness import fastest_rate
+from fic_jax.params import canonical
+from tests.streamed import streamed
 
 DT, N_STEPS = 0.01, 300
 
@@ -55,7 +56,6 @@ models = pytest.mark.parametrize("model", MODELS, ids=lambda m: f"{m.law}-{m.con
 # derandomize: the seed is fixed, so a failure here is the same everywhere
 law = settings(max_examples=150, deadline=None, derandomize=True)
 roll = partial(rollout, dt=DT, n_steps=N_STEPS)
-reduce = partial(evaluate, dt=DT, n_steps=N_STEPS)
 
 
 @law
@@ -113,18 +113,20 @@ def test_mirrored_scenario_gives_mirrored_motion(divergence, peak, p):
 def test_metrics_are_those_of_the_samples(model, p):
     """nmse >= 0, the tail is part of the whole, times lie on the grid, counts agree.
 
-    Where RK4 itself is unstable two programs that round differently part; only there.
+    Of the same samples: another program rounds otherwise, and where RK4 is unstable or the motion
+    a limit cycle that soon shows.
     """
-    s, m = roll(p, model=model), reduce(p, model=model)
+    s = roll(p, model=model)
+    m = streamed(canonical(p), s, jnp.float64(DT), model)
     T = np.asarray(s.tau_env)
-    if not m.finite or fastest_rate(p) * DT > 2.0:
+    if not m.finite:
         return
     assert m.nmse >= 0.0
     tail = N_STEPS - N_STEPS // 2
     assert m.nmse_tail * tail <= m.nmse * N_STEPS * (1 + 1e-12)
     T_n = min(p.Td, p.Fmax)
     eps = (T - p.Td) / T_n
-    assert float(m.nmse) == pytest.approx(np.mean(eps**2), rel=1e-7)
+    assert float(m.nmse) == pytest.approx(np.mean(eps**2), rel=1e-10)
     assert float(m.steady_error) == pytest.approx(np.mean(eps[-tail:]), rel=1e-9, abs=1e-12)
     assert float(m.peak_torque) == pytest.approx(np.max(np.abs(T)), rel=1e-12)
     assert int(m.mode_switches) == np.sum(s.diverging[1:] != s.diverging[:-1])

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from fic_jax import METRICS, Model, Params, rollout
-from fic_jax.metrics import empty, finish, update
 from tests.reference import discrete, events
 from tests.reference.scenarios import random_scenarios
 from tests.reference.sensitivity import scale, sensitivity
+from tests.streamed import streamed
 
 DT, T_END = 1e-3, 1.0
 N_STEPS = round(T_END / DT)
@@ -27,19 +27,9 @@ def simulate(batch, dt, model, n_steps=N_STEPS):
     return jax.vmap(partial(rollout, model=model, dt=dt, n_steps=n_steps))(batch)
 
 
-@partial(jax.jit, static_argnames="contact")
-def reduced(batch, samples, contact):
-    """The streamed metrics of samples; of the model they know the contact only: 3 programs."""
-    model = Model(contact=contact)
-
-    def one(p, samples):
-        def add(acc, step):
-            return update(acc, *step, N_STEPS, p, model), None
-
-        steps = (samples, jnp.arange(N_STEPS, dtype=jnp.int32))
-        acc = jax.lax.scan(add, empty(p), steps)[0]
-        return finish(acc, samples.x[-1], samples.v[-1], N_STEPS, jnp.float64(DT))
-
+def metrics_of(batch, samples, contact):
+    """Of the model the metrics know the contact only: 3 programs."""
+    one = partial(streamed, dt=jnp.float64(DT), model=Model(contact=contact))
     return jax.vmap(one)(batch, samples)
 
 
@@ -61,7 +51,7 @@ def simulated(group):
         params = [p for p, _ in some]
         batch, model = batch_of(params), Model(**dict(choices))
         samples = simulate(batch, DT, model)
-        out = samples, reduced(batch, samples, model.contact)
+        out = samples, metrics_of(batch, samples, model.contact)
         for i, p in enumerate(params):
             samples, metrics = jax.tree.map(lambda leaf, i=i: np.asarray(leaf[i]), out)
             done.append((p, dict(choices), samples, metrics))

@@ -14,6 +14,7 @@ from fic_jax import CHOICES, METRICS, Model, Params, ParamsError, control, evalu
 from fic_jax import step as public_step
 from fic_jax.engine import BLOCKS, LANES, _compiled
 from fic_jax.profile import energy, force
+from tests.streamed import streamed
 
 DT = 0.01
 TRACED = []  # names of the functions that JAX has traced since this module was imported
@@ -153,6 +154,20 @@ def test_one_device_equals_two():
     columns, blocks = fic_jax.engine._pack(leaves, slice(0, 1000), np.dtype(float), 1)
     one = program(jax.device_put(columns, sharding), np.float64(DT), blocks)
     assert_same(jax.tree.map(lambda a: np.asarray(a).reshape(-1)[:1000], one), both)
+
+
+def test_evaluate_equals_the_metrics_of_a_rollout():
+    """Two programs, on regular scenarios, to rounding."""
+    batch = random_batch(16)
+    for i in range(16):
+        p = fic_jax.params.canonical(pick(batch, i))
+        samples = rollout(p, dt=DT, n_steps=200)
+        expected = streamed(p, samples, jnp.float64(DT), Model())
+        got = evaluate(p, dt=DT, n_steps=200)
+        for name in METRICS:
+            np.testing.assert_allclose(
+                getattr(got, name), getattr(expected, name), rtol=1e-9, atol=1e-12, err_msg=name
+            )
 
 
 def test_sweep_equals_evaluate():
