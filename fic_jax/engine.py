@@ -41,6 +41,12 @@ CPU_FLAGS = (
 TRIED_JAXLIB = ("0.10.", "0.11.", "0.12.")
 
 
+def cores() -> int:
+    """Cores this process may use."""
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
+
+
 def tune_for_throughput(devices: int | None = None) -> None:
     """Make JAX compile for sweeps and use `devices` CPU devices (default: all cores).
 
@@ -50,10 +56,8 @@ def tune_for_throughput(devices: int | None = None) -> None:
 
     Raises RuntimeError if JAX has already started.
     """
-    if devices is None:
-        affinity = getattr(os, "sched_getaffinity", None)
-        devices = len(affinity(0)) if affinity else os.cpu_count() or 1
-    jax.config.update("jax_num_cpu_devices", devices)  # raises once a backend is up
+    # raises once a backend is up
+    jax.config.update("jax_num_cpu_devices", cores() if devices is None else devices)
     if not version("jaxlib").startswith(TRIED_JAXLIB):
         tried = ", ".join(f"{v}x" for v in TRIED_JAXLIB)
         warnings.warn(

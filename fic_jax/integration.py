@@ -41,6 +41,15 @@ class Motion:
 Slopes = tuple[Motion, Motion, Motion, Motion]  # d/dt of the motion at RK4's four stages
 
 
+def acceleration(
+    p: Params, tau: Scalar, x: Scalar, v: Scalar, model: Model, side: Motion | None = None
+) -> jax.Array:
+    """x'' = (torque - tau_env)/I, rad/s^2; `side` as in `stages`."""
+    per_I = 1.0 / p.I  # the same in all steps, unlike a quotient of what changes
+    x_v = None if side is None else (side.x, side.v)
+    return (tau - interaction_torque(x, v, p, model, x_v)) * per_I
+
+
 def stages(
     p: Params,
     start: Motion,
@@ -55,13 +64,10 @@ def stages(
     `side`: the point that chooses the pieces of law and contact, by default each stage's own.
     """
 
-    per_I = 1.0 / p.I  # the same in all steps, unlike a quotient of what changes
-
     def slope(x: Scalar, v: Scalar, F_K: Scalar | None = None) -> Motion:
-        x_v = None if side is None else (side.x, side.v)
         e_side = None if side is None else x_h - side.x
         tau = torque(x_h - x, attractor, p, model, e_side, F_K)
-        return Motion(v, (tau - interaction_torque(x, v, p, model, x_v)) * per_I, tau * v)
+        return Motion(v, acceleration(p, tau, x, v, model, side), tau * v)
 
     # Where the attractor diverges its e_M is the error here: one exponential less.
     first = slope(start.x, start.v, attractor.F_M)
@@ -121,10 +127,9 @@ def enter(
     """
     e = x_h - at.x
     attractor = latch(e, departs(e, at.v, model), e_M, p, model, grown)
-    net = torque(e, attractor, p, model, F_K=attractor.F_M)
-    net = net - interaction_torque(at.x, at.v, p, model)
+    tau = torque(e, attractor, p, model, F_K=attractor.F_M)
     soon = AHEAD * dt
-    v = at.v + soon * net * (1.0 / p.I)
+    v = at.v + soon * acceleration(p, tau, at.x, at.v, model)
     way = 0.5 * soon * (at.v + v)
     # And some units of the last place, or a slow motion would not get off the switch.
     least = 4.0 * jnp.finfo(at.x.dtype).eps * (jnp.abs(at.x) + jnp.abs(x_h))

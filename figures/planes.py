@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from fic_jax import QUANTITIES, TRUST
 from figures import style
-from sweeps.store import ERRORS, OK, STATUS, TRUSTED
-
-FLAGS = ("trusted", "status")  # of every cell, beside the metrics
+from sweeps.store import ERRORS, FLAGS, OK, STATUS, TRUSTED
 
 
 class PlotError(ValueError):

@@ -31,10 +31,21 @@ def _of_user() -> Path:
 
 def _processor() -> str:
     """A short name for what this processor can do."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        lines = []
-    able = next((line for line in lines if line.lower().startswith(("flags", "features"))), "")
-    identity = f"{platform.machine()} {platform.processor()} {able}"
+    identity = f"{platform.machine()} {platform.processor()} {extensions()}"
     return hashlib.sha256(identity.encode()).hexdigest()[:12]
+
+
+def extensions() -> str:
+    """What this processor can do beyond its base, in Linux's words; empty where nobody tells."""
+    told = cpuinfo()
+    return told.get("flags") or told.get("Features") or ""
+
+
+def cpuinfo() -> dict[str, str]:
+    """The first processor's lines of Linux's list; empty elsewhere."""
+    try:
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return {}
+    pairs = (line.partition(":") for line in text.split("\n\n")[0].splitlines())
+    return {key.strip(): value.strip() for key, _, value in pairs}

@@ -10,11 +10,10 @@ import pandas as pd
 import xarray as xr
 
 from sweeps.spec import SweepError
-from sweeps.store import STATUS, TRUSTWORTHY
+from sweeps.store import FLAGS
 
 SUFFIX = {"csv": ".csv", "parquet": ".parquet", "netcdf": ".nc"}
 PIECE = 500_000  # rows held at once
-FLAGS = {"trusted": TRUSTWORTHY, "status": STATUS}  # words in a table
 
 
 def write(data: xr.Dataset, path: Path, to: str) -> int:

@@ -15,9 +15,8 @@ from sweeps.grid import Grid
 from sweeps.spec import Sweep, SweepError
 from sweeps.store import (
     ERRORS,
+    FLAGS,
     FORMAT,
-    STATUS,
-    TRUSTWORTHY,
     Store,
     consolidate,
     open_store,
@@ -30,12 +29,9 @@ ESTIMATE = (
     "plant step and its switches located inside the step; infinite where only one of the two runs "
     "gives a finite metric, NaN where one left the finite numbers."
 )
-FLAGS = {  # variable -> long_name, flags; the first one is the fill value
-    "trusted": (
-        f"whether the estimated error of nmse is at most {100 * TRUST:g} % of nmse",
-        TRUSTWORTHY,
-    ),
-    "status": ("what became of the scenario", STATUS),
+MEANING = {  # of the flags
+    "trusted": f"whether the estimated error of nmse is at most {100 * TRUST:g} % of nmse",
+    "status": "what became of the scenario",
 }
 
 
@@ -117,10 +113,10 @@ def _estimate(sweep: Sweep) -> dict[str, Any]:
 def _variable(name: str, dtype: str) -> tuple[str, float, dict[str, Any]]:
     """Type, fill value and attributes of what a store holds of every cell."""
     if name in FLAGS:
-        meaning, flags = FLAGS[name]
+        flags = FLAGS[name]
         words = " ".join(word.replace(" ", "_") for word in flags)
         described = {"flag_values": list(flags.values()), "flag_meanings": words}
-        return "uint8", 0, {"long_name": meaning} | described
+        return "uint8", 0, {"long_name": MEANING[name]} | described
     about = METRICS[ERRORS.get(name, name)]
     prefix = "estimated error of " if name in ERRORS else ""
     return dtype, np.nan, {"units": about["unit"], "long_name": prefix + about["meaning"]}

@@ -26,6 +26,7 @@ NOT_RUN, OK, DIVERGED, FAILED = range(4)
 STATUS = {"not run": NOT_RUN, "ok": OK, "diverged": DIVERGED, "failed": FAILED}
 NO_ESTIMATE, NOT_TRUSTED, TRUSTED = range(3)
 TRUSTWORTHY = {"no estimate": NO_ESTIMATE, "not trusted": NOT_TRUSTED, "trusted": TRUSTED}
+FLAGS = {"trusted": TRUSTWORTHY, "status": STATUS}  # beside the metrics; 0 is the fill value
 ERRORS = {f"{name}_error": name for name in STORED}  # estimate -> the metric it is about
 FORMAT = 1  # of the store; a change that older programs can't read adds one
 

@@ -2,11 +2,9 @@
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
-import sysconfig
 import time
 
 import pytest
@@ -17,8 +15,8 @@ from sweeps.bench.processes import Child
 from sweeps.bench.rates import PEERS
 from sweeps.bench.text import as_markdown, as_text
 from sweeps.bench.whole import _covered
+from tests.command import FIC_SWEEP, call
 
-FIC_SWEEP = shutil.which("fic-sweep", path=sysconfig.get_path("scripts"))
 SMALL = ("bench", "--scenarios", "64", "--steps", "4", "--repeats", "1")
 TWINS = ("cpp", "numba", "diffrax")
 
@@ -39,24 +37,12 @@ def bare(tmp_path_factory):
     }
 
 
-def call(environment, *arguments, code):
-    done = subprocess.run(
-        [FIC_SWEEP, *arguments],
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=200,
-        check=False,
-    )
-    assert done.returncode == code, done.stderr
-    assert "Traceback" not in done.stderr
-    return done
-
-
 def measured(bare):
     """Every table, asked for in two parts."""
     asked = ("--only", "rates"), ("--only", "scaling", "--only", "run", "--only", "first")
-    parts = [json.loads(call(bare, *SMALL, "--json", *only, code=0).stdout) for only in asked]
+    parts = [
+        json.loads(call(*SMALL, "--json", *only, code=0, environment=bare).stdout) for only in asked
+    ]
     assert [len(part["tables"]) for part in parts] == [1, 3]
     return parts[0] | {"tables": parts[0]["tables"] | parts[1]["tables"]}
 
@@ -124,7 +110,7 @@ def test_all_tables_unless_some_are_asked_for(monkeypatch):
 
 @pytest.mark.parametrize("wrong", [("--only", "speed"), ("--steps", "1"), ("--json", "--markdown")])
 def test_a_wrong_request_is_told_in_one_line(wrong):
-    done = call(None, "bench", *wrong, code=2)
+    done = call("bench", *wrong, code=2)
     assert done.stdout == "" and len(done.stderr.splitlines()) == 1
 
 

@@ -1,13 +1,12 @@
 """Compiled programs are kept from run to run, and change no number."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from sweeps import cache
+from tests.command import call
 
 SWEEP = """
 name = "kept"
@@ -22,9 +21,8 @@ def run(folder: Path, kept: str) -> bytes:
     """Run the sweep into a new store; returns the bytes of its metrics."""
     folder.mkdir()
     (folder / "kept.toml").write_text(SWEEP)
-    command = [str(Path(sys.executable).parent / "fic-sweep"), "run", "kept.toml"]
     environment = os.environ | {cache.VARIABLE: kept}
-    subprocess.run(command, cwd=folder, env=environment, check=True, capture_output=True)
+    call("run", "kept.toml", code=0, folder=folder, environment=environment)
     chunks = sorted((folder / "kept.zarr").glob("*/c/*"))
     assert chunks
     return b"".join(chunk.read_bytes() for chunk in chunks)

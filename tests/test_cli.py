@@ -2,10 +2,8 @@
 
 import os
 import re
-import shutil
 import signal
 import subprocess
-import sysconfig
 import time
 
 import numpy as np
@@ -13,7 +11,9 @@ import pandas as pd
 import pytest
 import xarray as xr
 
-FIC_SWEEP = shutil.which("fic-sweep", path=sysconfig.get_path("scripts"))
+from tests.command import FIC_SWEEP
+from tests.command import call as called
+
 TINY = """
 name = "tiny"
 [time]
@@ -40,17 +40,7 @@ def ran(tmp_path_factory):
 
 
 def call(folder, *arguments, code):
-    done = subprocess.run(
-        [FIC_SWEEP, *arguments],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    assert done.returncode == code, done.stderr + done.stdout
-    assert "Traceback" not in done.stderr
-    return done
+    return called(*arguments, code=code, folder=folder)
 
 
 def test_help_names_every_command():
@@ -149,7 +139,11 @@ def test_interrupt_keeps_blocks_and_resume_ends_with_the_same_bits(folder, how, 
     sweep = ["run", "tiny.toml", "--set", "K0={log=[1, 100], n=300}", "--set", "t_end=200"]
     sweep += ["--chunk", "30"]
     running = subprocess.Popen(
-        [FIC_SWEEP, *sweep], cwd=folder, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [FIC_SWEEP, *sweep],
+        cwd=folder,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
     )
     deadline = time.monotonic() + 60
     while not list((folder / "tiny.zarr").glob(seen)) and time.monotonic() < deadline:

@@ -15,7 +15,7 @@ import numpy as np
 
 import fic_jax
 from fic_jax import Model, Params
-from sweeps.bench.machine import cores
+from fic_jax.engine import cores
 from sweeps.bench.plan import DT
 from sweeps.grid import Grid
 from sweeps.validation import load

@@ -5,26 +5,21 @@ import platform
 import shutil
 import subprocess
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from typing import Any
 
 import fic_jax
+from fic_jax.engine import cores
+from sweeps.cache import cpuinfo, extensions
 from sweeps.provenance import revision
 
 PACKAGES = ("jax", "jaxlib", "numpy", "numba", "diffrax")
 EXTENSIONS = {"avx2": "avx2", "avx512f": "avx512", "asimd": "neon", "neon": "neon"}  # as told: name
 
 
-def cores() -> int:
-    """Cores this process may use."""
-    affinity = getattr(os, "sched_getaffinity", None)
-    return len(affinity(0)) if affinity else os.cpu_count() or 1
-
-
 def machine() -> dict[str, Any]:
     """Processor, cores in use, vector extensions, load average now."""
-    told = _cpuinfo()
-    flags = set(f"{told.get('flags', '')} {told.get('Features', '')}".lower().split())
+    told = cpuinfo()
+    flags = set(extensions().lower().split())
     vector = {name for flag, name in EXTENSIONS.items() if flag in flags}
     if not told and platform.machine() == "arm64":  # macOS has no /proc and always has it
         vector = {"neon"}
@@ -45,16 +40,6 @@ def versions() -> dict[str, str | None]:
         **{name: _version(name) for name in PACKAGES},
         "c++": _compiler(),
     }
-
-
-def _cpuinfo() -> dict[str, str]:
-    """The first processor's lines of Linux's list."""
-    try:
-        text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
-    except OSError:
-        return {}
-    pairs = (line.partition(":") for line in text.split("\n\n")[0].splitlines())
-    return {key.strip(): value.strip() for key, _, value in pairs}
 
 
 def _version(name: str) -> str | None:
