@@ -116,15 +116,62 @@ def run(
 
 
 @app.command()
-def resume(path: Where) -> None:
+def resume(
+    path: Where,
+    extend: Annotated[
+        str | None, typer.Option(metavar="NAME|FILE", help="a larger sweep; what is there is kept")
+    ] = None,
+) -> None:
     """Run the blocks of a store that are not done yet."""
     asked = _stop_between_blocks()
+    sweep = _load(extend, None) if extend else None
+    from sweeps import extend as extension
+
+    extension.recover(path)
+    store = _reopened(path)
+    if extend and sweep:
+        _warn(sweep)
+        store = extension.extend(store, sweep, str(_find(extend)))
+    _carry_out(store, asked)
+
+
+@app.command()
+def verify(
+    path: Where,
+    repair: Annotated[bool, typer.Option("--repair", help="compute again what is bad")] = False,
+) -> None:
+    """Compare every file of a store with its ledger."""
+    from sweeps import verify as check
+    from sweeps.messages import interruption, verification
+
+    report = check.verify(path)
+    print("\n".join(verification(path, report)))
+    if repair and report.frame:
+        check.mend_frame(path)
+        report = check.verify(path)
+    if repair and report.bad_blocks:
+        asked, store = _stop_between_blocks(), _reopened(path)
+        try:
+            _, other = check.recompute(store, report.bad_blocks, lambda p: _stop_if(asked, p))
+        except (KeyboardInterrupt, OSError) as error:
+            print(f"fic-sweep: {interruption(store, error)}", file=sys.stderr)
+            raise typer.Exit(1) from None
+        for block in other:
+            print(f"fic-sweep: {path}: block {block} came out different", file=sys.stderr)
+        report = check.verify(path)
+    if repair:
+        print("\n".join(verification(path, report)))
+    raise typer.Exit(1 if report.problems else 0)
+
+
+def _reopened(path: Path) -> "Store":
+    """A store to be gone on with, JAX being set up for its precision."""
     from sweeps import runner
     from sweeps.store import open_store
 
-    precision = int(open_store(path, "r").dtype.removeprefix("float"))
+    precision = int(open_store(path).dtype.removeprefix("float"))
     runner.configure(precision)
-    _carry_out(runner.reopen(path, precision), asked)
+    return runner.reopen(path, precision)
 
 
 @app.command()
@@ -134,7 +181,7 @@ def status(path: Where) -> None:
     from sweeps.store import open_store
 
     with _reading(path):
-        lines = status_lines(open_store(path, "r"))
+        lines = status_lines(open_store(path))
     for line in lines:
         print(line)
 
@@ -298,17 +345,22 @@ def _stop_between_blocks() -> list[int]:
 
 def _carry_out(store: "Store", asked: list[int]) -> None:
     """Run a store to its end, with progress; whatever happens, finished blocks stay."""
-    from sweeps.messages import interruption, summary
+    from sweeps.messages import failure, interruption, summary
     from sweeps.runner import run
+    from sweeps.store import Tally
 
     try:
         result = (_with_bar if sys.stdout.isatty() else _with_lines)(store, asked)
     except (KeyboardInterrupt, OSError) as error:
-        if isinstance(error, OSError) or store.pending():
+        if isinstance(error, OSError) or Tally.of(store).pending:
             print(f"fic-sweep: {interruption(store, error)}", file=sys.stderr)
             raise typer.Exit(1) from None
         result = run(store, lambda _: None)  # the block in hand was the last: only its end is left
     print(summary(store, result))
+    if result.set_aside:
+        for line in failure(store, result):
+            print(f"fic-sweep: {line}", file=sys.stderr)
+        raise typer.Exit(1)
 
 
 def _with_bar(store: "Store", asked: list[int]) -> "Progress":

@@ -16,7 +16,7 @@ from sweeps.spec import Sweep
 # a scenario is so long that the smallest block takes more.
 BLOCK_STEPS = 300_000_000
 SMALLEST_BLOCK, LARGEST_BLOCK = 4_096, 1_000_000
-ESTIMATE_COST = 9  # times the work of a scenario: two runs, one of smaller steps with events
+ESTIMATE_COST = 6  # times the work of a scenario: two runs, one of smaller steps with events
 
 Block = tuple[slice, ...]
 
@@ -77,16 +77,27 @@ class Grid:
             sides[longest] = -(-sides[longest] // 2)
         return tuple(sides)
 
+    @cached_property
+    def counts(self) -> tuple[int, ...]:
+        """Blocks along each dimension."""
+        return tuple(-(-n // b) for n, b in zip(self.shape, self.block_shape, strict=True))
+
     @property
     def n_blocks(self) -> int:
-        return math.prod(-(-n // b) for n, b in zip(self.shape, self.block_shape, strict=True))
+        return math.prod(self.counts)
+
+    def place(self, index: int) -> tuple[int, ...]:
+        """Where a block is in the grid of blocks; they are numbered in storage order."""
+        return tuple(int(i) for i in np.unravel_index(index, self.counts))
+
+    def block(self, index: int) -> Block:
+        """The cells of a block, a slice per dimension."""
+        sides = zip(self.place(index), self.block_shape, self.shape, strict=True)
+        return tuple(slice(i * b, min((i + 1) * b, n)) for i, b, n in sides)
 
     def blocks(self) -> Iterator[Block]:
-        """The blocks in storage order, each a slice per dimension."""
-        counts = [-(-n // b) for n, b in zip(self.shape, self.block_shape, strict=True)]
-        for index in np.ndindex(*counts):
-            sides = zip(index, self.block_shape, self.shape, strict=True)
-            yield tuple(slice(i * b, min((i + 1) * b, n)) for i, b, n in sides)
+        """The blocks in storage order."""
+        return (self.block(index) for index in range(self.n_blocks))
 
     def model(self, block: Block) -> Model:
         """The model of a block."""
@@ -98,7 +109,7 @@ class Grid:
 
     def params(self, block: Block) -> Params:
         """The scenarios of a block, flat in storage order; constant fields stay scalars."""
-        shape = tuple(s.stop - s.start for s in block)
+        shape = shape_of(block)
         columns: dict[str, Any] = dict(self.sweep.constants)
         for i, (dim, part) in enumerate(zip(self.dims, block, strict=True)):
             for name, values in self.coordinates(dim, part).items():
@@ -119,3 +130,13 @@ class Grid:
         if dim == "scenario" and sweep.sample:
             return draw(sweep.sample, start, stop)
         return {dim: np.array(sweep.model[dim])[start:stop]}
+
+
+def shape_of(block: Block) -> tuple[int, ...]:
+    """Cells of a block along each dimension."""
+    return tuple(part.stop - part.start for part in block)
+
+
+def cells_of(block: Block) -> int:
+    """Scenarios of a block."""
+    return math.prod(shape_of(block))

@@ -2,7 +2,9 @@
 
 import os
 import shutil
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -11,19 +13,26 @@ import zarr
 from zarr.codecs import BloscCodec, Crc32cCodec
 
 from fic_jax import METRICS, QUANTITIES, TRUST
+from sweeps import ledger as ledgers
+from sweeps import owner
+from sweeps.durable import PARTIAL, sync, sync_tree
 from sweeps.grid import Grid
+from sweeps.ledger import Ledger
+from sweeps.owner import owning
 from sweeps.spec import Sweep, SweepError
 from sweeps.store import (
+    COORDINATE_CHUNK,
     ERRORS,
     FLAGS,
     FORMAT,
     Store,
-    consolidate,
     open_store,
     sha256,
     variable_names,
 )
 
+# One folder for each array, so that one look and one flush see all its chunks.
+FLAT: Any = {"name": "default", "separator": "."}
 ESTIMATE = (
     "Absolute error of the metric beside it, estimated by running the scenario again with half the "
     "plant step and its switches located inside the step; infinite where only one of the two runs "
@@ -37,27 +46,66 @@ MEANING = {  # of the flags
 
 def create(path: Path, grid: Grid, attributes: Mapping[str, Any]) -> Store:
     """Make an empty store, whole or not at all. Raises SweepError if it can't be."""
+    refuse_existing(path)
+    refuse_small_disk(path, grid, attributes["dtype"])
+    partial = path.with_name(f".{path.name}{PARTIAL}")
+    try:
+        with building(partial):
+            lay_out(partial, grid, attributes)
+            put_in_place(partial, path)
+    except OSError as error:
+        raise SweepError(f"{path}: can't be written: {error.strerror or error}") from None
+    return open_store(path)
+
+
+def refuse_existing(path: Path) -> None:
+    """Raise SweepError where something is in the way of a new store."""
     if path.exists() or path.is_symlink():
         store = os.path.isfile(path / "zarr.json")
         go_on = f"`fic-sweep resume {path}` continues it, " if store else ""
         raise SweepError(f"{path}: exists already; {go_on}--out names another")
-    needed, parent = size(grid, attributes["dtype"]), _existing_parent(path)
+
+
+def refuse_small_disk(path: Path, grid: Grid, dtype: str) -> None:
+    """Raise SweepError where there is no room for a store."""
+    needed, parent = size(grid, dtype), _existing_parent(path)
     free = shutil.disk_usage(parent).free
     if needed > free:
         raise SweepError(
             f"{path}: the sweep needs up to {needed / 1e9:.3g} GB for {grid.cells:,} cells, "
             f"but {parent} has {free / 1e9:.3g} GB free"
         )
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        partial.parent.mkdir(parents=True, exist_ok=True)
-        _lay_out(partial, grid, attributes)
-        partial.rename(path)
-    except OSError as error:
-        raise SweepError(f"{path}: can't be written: {error.strerror or error}") from None
-    finally:  # an interruption leaves no more behind than an error
-        shutil.rmtree(partial, ignore_errors=True)
-    return open_store(path)
+
+
+@contextmanager
+def building(partial: Path) -> Iterator[None]:
+    """A folder to build a store in, owned by this process and gone afterwards if it is left there.
+
+    What a killed process left there is removed first. Raises SweepError where another is at it.
+    """
+    partial.mkdir(parents=True, exist_ok=True)
+    with owning(partial):
+        _clear(partial)
+        try:
+            yield
+        finally:  # an interruption leaves no more behind than an error
+            shutil.rmtree(partial, ignore_errors=True)
+
+
+def put_in_place(partial: Path, path: Path) -> None:
+    """Give a store its name, once all of it is on the disk."""
+    sync_tree(partial)
+    refuse_existing(path)
+    partial.rename(path)
+    sync(path.parent)
+
+
+def _clear(folder: Path) -> None:
+    for left in folder.iterdir():
+        if left.is_dir() and not left.is_symlink():
+            shutil.rmtree(left)
+        elif left.name != owner.NAME:
+            left.unlink()
 
 
 def size(grid: Grid, dtype: str) -> int:
@@ -72,8 +120,8 @@ def _existing_parent(path: Path) -> Path:
     return next(folder for folder in path.absolute().parents if folder.exists())
 
 
-def _lay_out(path: Path, grid: Grid, attributes: Mapping[str, Any]) -> None:
-    """Write the group, the coordinates and the metadata of every variable."""
+def lay_out(path: Path, grid: Grid, attributes: Mapping[str, Any]) -> None:
+    """Write the group, the coordinates, the metadata of every variable and an empty ledger."""
     sweep = grid.sweep
     record = {
         "format": FORMAT,
@@ -86,21 +134,38 @@ def _lay_out(path: Path, grid: Grid, attributes: Mapping[str, Any]) -> None:
     group = zarr.create_group(path, attributes=record | dict(attributes))
     along = [name for dim in grid.dims for name in _write_coordinates(group, grid, dim)]
     group.attrs.update({"coordinates": " ".join(along)} if along else {})
-    layout: dict[str, Any] = {"shape": grid.shape, "chunks": grid.block_shape}
-    layout["dimension_names"] = list(grid.dims)
-    # An all-NaN chunk must be a file too: a missing file then always means "not run".
-    layout["config"] = {"write_empty_chunks": True}
     for name in variable_names(sweep):
-        dtype, fill, described = _variable(name, attributes["dtype"])
-        group.create_array(
-            name,
-            dtype=dtype,
-            fill_value=fill,
-            compressors=_codecs(np.dtype(dtype).itemsize),
-            attributes=described,
-            **layout,
-        )
-    consolidate(path)
+        group.create_array(**variable(grid, name, attributes["dtype"]))
+    _consolidate(path)
+    ledger = Ledger.create(path / ledgers.NAME)
+    files = [path / "zarr.json", *sorted(p for p in path.glob("*/*") if p.is_file())]
+    ledger.fix((file.relative_to(path).as_posix(), file.read_bytes()) for file in files)
+
+
+def variable(grid: Grid, name: str, dtype: str) -> dict[str, Any]:
+    """How zarr is to create what a store holds of every cell."""
+    dtype, fill, described = _variable(name, dtype)
+    return {
+        "name": name,
+        "shape": grid.shape,
+        "chunks": grid.block_shape,
+        "dimension_names": list(grid.dims),
+        "dtype": dtype,
+        "fill_value": fill,
+        "compressors": _codecs(np.dtype(dtype).itemsize),
+        "chunk_key_encoding": FLAT,
+        # An all-NaN chunk must be a file too: a missing file then always means "not run".
+        "config": {"write_empty_chunks": True},
+        "attributes": described,
+    }
+
+
+def _consolidate(path: Path) -> None:
+    """One file with all metadata: xarray opens it without a warning, and faster."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Consolidated metadata")  # zarr: not in the v3 standard
+        warnings.filterwarnings("ignore", "Object at owner.lock")  # of this process
+        zarr.consolidate_metadata(path)
 
 
 def _estimate(sweep: Sweep) -> dict[str, Any]:
@@ -129,7 +194,7 @@ def _codecs(itemsize: int) -> list[Any]:
 
 def _write_coordinates(group: zarr.Group, grid: Grid, dim: str) -> list[str]:
     """Write what varies along a dimension, piece by piece; returns the names that are no index."""
-    piece, length = 1_000_000, grid.dims[dim]
+    piece, length = COORDINATE_CHUNK, grid.dims[dim]
     for start in range(0, length, piece):
         part = slice(start, min(start + piece, length))
         for name, values in grid.coordinates(dim, part).items():
@@ -142,6 +207,7 @@ def _write_coordinates(group: zarr.Group, grid: Grid, dim: str) -> list[str]:
                     dtype=str if values.dtype.kind == "U" else values.dtype,
                     compressors=[Crc32cCodec()] if values.dtype.kind == "U" else _codecs(8),
                     dimension_names=[dim],
+                    chunk_key_encoding=FLAT,
                     attributes={"units": about["unit"], "long_name": about["meaning"]},
                 )
             array = group[name]

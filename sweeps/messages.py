@@ -1,12 +1,21 @@
 """What the command line says, as lines of text. Prints nothing."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
 
 from sweeps.grid import Grid
 from sweeps.layout import size
+from sweeps.ledger import Row
 from sweeps.runner import Progress
-from sweeps.store import Store
+from sweeps.spec import SweepError
+from sweeps.store import DIVERGED, Store, Tally
+from sweeps.verify import Report
+
+LISTED = 20  # damaged files
+NAMED = 5  # blocks or scenarios named before it becomes "and so many more"
 
 
 def plan_lines(grid: Grid, dtype: str) -> list[str]:
@@ -31,18 +40,59 @@ def expectation(grid: Grid, compiling: float, rate: float) -> str:
 
 def status_lines(store: Store) -> list[str]:
     """How far a store is and what made it."""
-    counts, attrs, grid = store.counts(), store.group.attrs.asdict(), store.grid
-    done = grid.cells - counts["not run"]
+    tally, attrs, grid = Tally.of(store), store.group.attrs.asdict(), store.grid
+    done = grid.cells - tally.cells["not run"]
     return [
         f"{store.path}: {grid.sweep.name}, {_dims(grid)}",
         f"done      {done:,} of {grid.cells:,} cells ({_share(done, grid.cells)})",
-        *(f"  {name:8}{count:>14,}" for name, count in counts.items()),
-        *(f"trusted   {told}" for told in _trusted(store, done)),
-        f"blocks    {len(store.pending()):,} of {grid.n_blocks:,} to do",
+        *(f"  {name:8}{count:>14,}" for name, count in tally.cells.items()),
+        *(f"diverged  {told}" for told in _diverged(store)),
+        *(f"failed    {told}" for told in set_aside_lines(store, tally.set_aside)),
+        *(f"trusted   {told}" for told in _trusted(store, tally)),
+        f"blocks    {len(tally.pending):,} of {grid.n_blocks:,} to do",
         f"began     {attrs['start']}, ended {attrs.get('end', 'not yet')}",
         f"made by   fic_jax {attrs['fic_jax']} ({attrs['revision']}), jax {attrs['jax']}",
         f"on        {attrs['device']}, {attrs['dtype']}",
     ]
+
+
+def set_aside_lines(store: Store, rows: Sequence[Row]) -> Iterator[str]:
+    """Which blocks could not be computed, where they are, and why."""
+    for row in rows[:NAMED]:
+        where = ", ".join(_stretch(store.grid, row.block))
+        yield f"block {row.block} ({where}) after {row.attempt} attempts: {row.error}"
+    if len(rows) > NAMED:
+        yield f"and {len(rows) - NAMED:,} more blocks"
+
+
+def _stretch(grid: Grid, index: int) -> Iterator[str]:
+    """What a block covers along each dimension."""
+    for dim, part in zip(grid.dims, grid.block(index), strict=True):
+        first, last = _value(grid, dim, part.start), _value(grid, dim, part.stop - 1)
+        yield f"{dim} {first}" + (f" to {last}" if last != first else "")
+
+
+def _diverged(store: Store) -> Iterator[str]:
+    """The first diverged scenarios by name."""
+    left = NAMED
+    for row in store.rows():
+        if not row.diverged or not left:
+            continue
+        block = store.grid.block(row.block)
+        found = np.argwhere(np.asarray(store.array("status")[block]) == DIVERGED)[:left]
+        for place in found:
+            cell = [part.start + int(i) for part, i in zip(block, place, strict=True)]
+            at = zip(store.grid.dims, cell, strict=True)
+            yield ", ".join(f"{dim} {_value(store.grid, dim, i)}" for dim, i in at)
+        left -= len(found)
+
+
+def _value(grid: Grid, dim: str, index: int) -> str:
+    """The value at one place of a dimension; a scenario has its number only."""
+    if dim == "scenario":
+        return str(index)
+    value = grid.coordinates(dim, slice(index, index + 1))[dim][0]
+    return str(value) if isinstance(value, str) else f"{value:g}"
 
 
 def progress_line(progress: Progress) -> str:
@@ -57,37 +107,67 @@ def progress_line(progress: Progress) -> str:
 def log_line(progress: Progress) -> str:
     """How far a run is, for a log."""
     share = _share(progress.done, progress.cells)
-    return f"{progress.done:,} of {progress.cells:,} ({share}) {progress_line(progress)}"
+    failed = f"; {len(progress.set_aside)} blocks failed" if progress.set_aside else ""
+    return f"{progress.done:,} of {progress.cells:,} ({share}) {progress_line(progress)}{failed}"
 
 
 def summary(store: Store, result: Progress) -> str:
     """What a run did."""
-    if not result.ran:
+    if not result.ran and not result.set_aside:
         return f"{store.path}: complete already, {result.cells:,} scenarios"
     rate = result.ran / result.seconds
     steps = rate * store.grid.sweep.n_steps / 1e6
     speed = f", {rate:,.0f}/s ({steps:,.0f} M steps/s)" if steps >= 1 else ""
     diverged = f", {result.diverged:,} diverged" if result.diverged else ""
     told = [f"{result.ran:,} scenarios in {_duration(result.seconds)}{speed}{diverged}"]
-    told += [f"trusted {text}" for text in _trusted(store, result.done)]
+    told += [f"trusted {text}" for text in _trusted(store, Tally.of(store))]
     return f"{store.path}: {'; '.join(told)}"
+
+
+def failure(store: Store, result: Progress) -> Iterator[str]:
+    """What a run could not compute, and how to try again."""
+    n = len(result.set_aside)
+    blocks = f"{n:,} {'block' if n == 1 else 'blocks'} of {store.grid.n_blocks:,}"
+    yield f"{blocks} failed and set aside; `fic-sweep resume {store.path}` tries again"
+    yield from set_aside_lines(store, result.set_aside)
+
+
+def verification(path: Path, report: Report) -> Iterator[str]:
+    """What was looked at, and each thing that is not as it was written."""
+    looked = f"{report.blocks:,} blocks, {report.files:,} files"
+    if not report.problems:
+        yield f"{path}: {looked}: all as written"
+        return
+    yield f"{path}: {looked}: {len(report.problems):,} not as written"
+    yield from (f"  {problem.what} {problem.how}" for problem in report.problems[:LISTED])
+    if len(report.problems) > LISTED:
+        yield f"  and {len(report.problems) - LISTED:,} more"
 
 
 def interruption(store: Store, error: BaseException) -> str:
     """Why a run ended early, what is kept and how to go on."""
-    why = "interrupted" if isinstance(error, KeyboardInterrupt) else f"failed: {error}"
-    total = store.grid.n_blocks
-    kept = total - len(store.pending())
-    go_on = f"`fic-sweep resume {store.path}` does the rest"
+    why = "interrupted" if isinstance(error, KeyboardInterrupt) else f"failed: {_reason(error)}"
+    total, go_on = store.grid.n_blocks, f"`fic-sweep resume {store.path}` does the rest"
+    try:
+        kept = total - len(Tally.of(store).pending)
+    except (OSError, SweepError):  # the folder is gone, or not ours any more
+        return f"{why}; what was finished is kept if the folder is, {go_on}"
     return f"{why}; {kept} of {total} blocks are kept, {go_on}"
 
 
-def _trusted(store: Store, done: int) -> Iterator[str]:
+def _reason(error: BaseException) -> str:
+    """What the system said, and about which file."""
+    told = getattr(error, "strerror", None) or str(error)
+    about = getattr(error, "filename", None)
+    return f"{about}: {told}" if about else told
+
+
+def _trusted(store: Store, tally: Tally) -> Iterator[str]:
     """How many of the cells done are trusted, where the store can tell."""
-    counted = store.trusted()
-    if counted is not None:
-        number, bound = counted
-        share = f"{number:,} of {done:,} cells ({_share(number, done)})"
+    if store.grid.sweep.error_estimate:
+        done = store.grid.cells - tally.cells["not run"]
+        share = f"{tally.trusted:,} of {done:,} cells ({_share(tally.trusted, done)})"
+        bound = float(str(store.group.attrs["trust_bound"]))
         yield f"{share}, nmse known to {100 * bound:g} %"
 
 

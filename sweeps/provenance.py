@@ -14,6 +14,9 @@ import sweeps
 # What must agree before a store is continued. The rest (device, revision) is told, not compared.
 IDENTITY = ("program", "jax", "jaxlib", "numpy", "scipy", "platform", "dtype", "xla_flags")
 
+# What a larger store takes over from the one it began as.
+KEPT = (*IDENTITY, "fic_jax", "revision", "device", "start")
+
 
 def provenance(precision: int) -> dict[str, str]:
     """Attributes that name the program, its libraries, the device and the precision."""
@@ -36,7 +39,16 @@ def provenance(precision: int) -> dict[str, str]:
 def fingerprint() -> str:
     """SHA-256 of the sources that decide a number, from a cell's values to what is stored."""
     engine = sorted(Path(fic_jax.__file__).parent.rglob("*.py"))
-    names = ("design.py", "grid.py", "layout.py", "runner.py", "spec.py", "store.py")
+    names = (
+        "commit.py",
+        "design.py",
+        "extend.py",
+        "grid.py",
+        "layout.py",
+        "runner.py",
+        "spec.py",
+        "store.py",
+    )
     plan = [Path(sweeps.__file__).parent / name for name in names]
     digest = hashlib.sha256()
     for path in [*engine, *plan]:

@@ -1,11 +1,11 @@
 """From a sweep to a store: plan, blocks, engine, commit. Prints nothing; tells a callback."""
 
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections import deque
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass
-from datetime import UTC, datetime
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax
@@ -14,13 +14,17 @@ import numpy as np
 from fic_jax import Metrics, Params, sweep, tune_for_throughput
 from fic_jax.stiffness import fastest_rate
 from sweeps.cache import programs
-from sweeps.grid import Block, Grid
+from sweeps.commit import Values, Writer, changing, kept, no_values, now, values_of
+from sweeps.grid import Block, Grid, cells_of
 from sweeps.layout import create
+from sweeps.ledger import DONE, SET_ASIDE, Row
+from sweeps.owner import Owner
 from sweeps.provenance import IDENTITY, provenance
 from sweeps.spec import Sweep, SweepError
-from sweeps.store import Store, open_store
+from sweeps.store import DIVERGED, FAILED, OK, Store, Tally, open_store
 from sweeps.validation import out_of_bounds
 
+ATTEMPTS = 3  # at a block before it is set aside
 STABLE = 2.78  # |lambda| dt beyond which RK4 diverges on a linear system
 ACCURATE = 1.0  # |lambda| dt up to which a step resolves it
 
@@ -34,9 +38,17 @@ class Progress:
 
     cells: int  # of the whole sweep
     done: int  # cells in the store
-    ran: int  # cells done by this run
-    diverged: int  # among them
-    seconds: float  # since this run began
+    ran: int = 0  # cells done by this run
+    diverged: int = 0  # among them
+    seconds: float = 0.0  # since this run began
+    set_aside: tuple[Row, ...] = ()  # blocks that this run could not compute
+
+    def after(self, row: Row, cells: int, seconds: float) -> "Progress":
+        """Once one more block is on disk."""
+        if row.outcome == SET_ASIDE:
+            return replace(self, seconds=seconds, set_aside=(*self.set_aside, row))
+        done, ran, diverged = self.done + cells, self.ran + cells, self.diverged + row.diverged
+        return replace(self, done=done, ran=ran, diverged=diverged, seconds=seconds)
 
 
 Tell = Callable[[Progress], None]
@@ -57,7 +69,7 @@ def start(path: Path, plan: Sweep, chunk: int | None, precision: int) -> Store:
     """Make the store of a new run. Raises SweepError if it can't be."""
     for problem in out_of_bounds(plan, f"float{precision}"):
         raise SweepError(f"{plan.name} in {precision} bits: {problem}")
-    attributes = provenance(precision) | {"start": _now()}
+    attributes = provenance(precision) | {"start": now()}
     return create(path, Grid(plan, chunk), attributes)
 
 
@@ -74,54 +86,87 @@ def reopen(path: Path, precision: int) -> Store:
     return store
 
 
-def run(store: Store, tell: Tell) -> Progress:
-    """Run every block that is not done and commit it; safe to interrupt between any two lines."""
+def run(store: Store, tell: Tell, only: Collection[int] | None = None) -> Progress:
+    """Run every block (or those named) that is not done; safe to interrupt between any two lines.
+
+    Raises SweepError where another process is at it, OSError where the disk refuses.
+    """
     grid, began = store.grid, time.perf_counter()
-    pending = store.pending()
-    todo = sum(_cells(block) for block in pending)
-    progress = Progress(grid.cells, grid.cells - todo, 0, 0, 0.0)
-    tell(progress)
-    with closing(_committed(store, pending)) as committed:
-        for block, lost, when in committed:
-            ran, diverged = progress.ran + _cells(block), progress.diverged + lost
-            seconds = when - began
-            progress = Progress(grid.cells, grid.cells - todo + ran, ran, diverged, seconds)
-            tell(progress)
-    if "end" not in store.group.attrs:  # also where an interruption came just before this line
-        store.note(end=_now())
+    with changing(store) as (writer, owner):
+        tally = Tally.of(store)
+        pending = [i for i in tally.pending if only is None or i in only]
+        todo = sum(cells_of(grid.block(index)) for index in tally.pending)
+        progress = Progress(grid.cells, grid.cells - todo)
+        tell(progress)
+        # what its process was killed in may be what killed it, and comes last
+        pending.sort(key=lambda index: index == owner.died_at)
+        with closing(_committed(writer, owner, pending, tally.begun)) as committed:
+            for row, when in committed:
+                cells = cells_of(grid.block(row.block))
+                progress = progress.after(row, cells, when - began)
+                tell(progress)
+        if progress.done == grid.cells and "end" not in store.group.attrs:
+            writer.ended()  # also where an interruption came just before this line
     return progress
 
 
-def _committed(store: Store, pending: list[Block]) -> Generator[tuple[Block, int, float]]:
-    """Compute the blocks and commit them: each, its diverged scenarios, and when it was on disk.
+def _committed(
+    writer: Writer, owner: Owner, pending: list[int], begun: Mapping[int, Row]
+) -> Generator[tuple[Row, float]]:
+    """Compute the blocks and commit them: each, and when it was on disk.
 
     A block is written while the next one is computed, and told of after that. Whoever stops
-    asking loses none that is computed: closing waits until it is written.
+    asking loses none that is computed: closing waits until it is written. A block that fails
+    comes again after all others, and is set aside in the end.
     """
+    queue = deque((index, 1) for index in pending)
 
-    def write(block: Block, metrics: Metrics, errors: Metrics | None) -> tuple[int, float]:
-        return store.write(block, metrics, errors), time.perf_counter()
+    def commit(values: Values, row: Row) -> tuple[Row, float]:
+        return writer.commit(values, row), time.perf_counter()
 
-    with ThreadPoolExecutor(1) as writer:
-        last: tuple[Block, Future[tuple[int, float]]] | None = None
-        for block in pending:
-            result = _compute(store.grid, block, store.dtype)
-            before, last = last, (block, writer.submit(write, block, *result))
+    with ThreadPoolExecutor(1) as pool:
+        last: Future[tuple[Row, float]] | None = None
+        while queue:
+            index, attempt = queue.popleft()
+            owner.takes(index)
+            values, row = _attempt(writer.store, index, begun.get(index), attempt)
+            if row.outcome == SET_ASIDE and attempt < ATTEMPTS:
+                queue.append((index, attempt + 1))
+                continue
+            before, last = last, pool.submit(commit, values, row)
             if before:
-                yield before[0], *before[1].result()
+                yield before.result()
         if last:
-            yield last[0], *last[1].result()
+            yield last.result()
+
+
+def _attempt(store: Store, index: int, known: Row | None, attempt: int) -> tuple[Values, Row]:
+    """Compute a block; what is known of it, from a smaller store, is not computed again."""
+    block, began = store.grid.block(index), time.perf_counter()
+    values = kept(store, known) if known else None
+    if values is None:
+        values = no_values(store.grid, index)
+    todo = np.isin(values["status"], (OK, DIVERGED), invert=True)
+    try:
+        new = values_of(*_compute(store.grid, block, store.dtype, todo))
+    except Exception as error:  # the sweep goes on without it, and says so
+        told = f"{type(error).__name__}: {error}".splitlines()[0][:300]
+        values["status"][todo] = FAILED
+        return values, Row(index, SET_ASIDE, attempt=attempt, error=told)
+    for name in values:
+        values[name][todo] = new[name]
+    return values, Row(index, DONE, seconds=time.perf_counter() - began, attempt=attempt)
 
 
 def _compute(
-    grid: Grid, block: Block, dtype: str, n: int | None = None
+    grid: Grid, block: Block, dtype: str, cells: slice | np.ndarray = slice(None)
 ) -> tuple[Metrics, Metrics | None]:
-    """Metrics of a block, or of its first `n` scenarios, and their errors where wanted.
+    """Metrics of a block, or of some of its scenarios, and their errors where wanted.
 
     In the precision of the store.
     """
     params = {name: np.asarray(v, dtype) for name, v in vars(grid.params(block)).items()}
-    batch = Params(**{name: v[:n] if v.ndim else v for name, v in params.items()})
+    batch = Params(**{name: v[cells] if v.ndim else v for name, v in params.items()})
     plan = grid.sweep
     model, dt, n_steps = grid.model(block), plan.time.dt, plan.n_steps
     if plan.error_estimate:
@@ -132,11 +177,11 @@ def _compute(
 def measure(grid: Grid, dtype: str) -> tuple[float, float]:
     """Seconds before the first result, and scenarios a second, from a short run of the plan."""
     block = next(grid.blocks())
-    n = min(_cells(block), max(MEASURED_STEPS // grid.work, MEASURED_LEAST))
+    n = min(cells_of(block), max(MEASURED_STEPS // grid.work, MEASURED_LEAST))
     seconds = []
     for _ in range(2):
         began = time.perf_counter()
-        _compute(grid, block, dtype, n)
+        _compute(grid, block, dtype, slice(n))
         seconds.append(time.perf_counter() - began)
     return max(seconds[0] - seconds[1], 0.0), n / seconds[1]
 
@@ -159,11 +204,3 @@ def warnings_of(plan: Sweep) -> Iterator[str]:
             f"scenario: RK4 is {state} there (it resolves up to {ACCURATE:g}, diverges beyond "
             f"{STABLE:g}); dt = {plan.time.dt / stiffest:.2g} s would do"
         )
-
-
-def _cells(block: Block) -> int:
-    return int(np.prod([part.stop - part.start for part in block], dtype=np.int64))
-
-
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="seconds")

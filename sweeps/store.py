@@ -1,23 +1,27 @@
 """The result store: one Zarr directory that `xarray.open_zarr` reads with no code of ours.
 
-Block = chunk = unit of commit. A block's metrics are written first and its `status` last, each
-file by a rename, so that a block counts as done when, and only when, its status says so.
+Block = chunk = unit of commit. A block is done when, and only when, the ledger beside the arrays
+has a row for it (`sweeps.commit` writes them, in that order).
 """
 
 import hashlib
+import json
+import math
 import os
-import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import zarr
 
-from fic_jax import Metrics, trusted
-from sweeps.grid import Block, Grid
+from sweeps import ledger as ledgers
+from sweeps.grid import Grid
+from sweeps.ledger import DONE, SET_ASIDE, Ledger, LedgerError, Row
 from sweeps.spec import STORED, Sweep, SweepError
+from sweeps.validation import validate
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -28,97 +32,166 @@ NO_ESTIMATE, NOT_TRUSTED, TRUSTED = range(3)
 TRUSTWORTHY = {"no estimate": NO_ESTIMATE, "not trusted": NOT_TRUSTED, "trusted": TRUSTED}
 FLAGS = {"trusted": TRUSTWORTHY, "status": STATUS}  # beside the metrics; 0 is the fill value
 ERRORS = {f"{name}_error": name for name in STORED}  # estimate -> the metric it is about
-FORMAT = 1  # of the store; a change that older programs can't read adds one
+FORMAT = 2  # of the store; a change that older programs can't read adds one
+COORDINATE_CHUNK = 1_000_000  # values of a coordinate that are written at once
+LARGEST_RECORD = 200_000_000  # bytes of a store's zarr.json: an axis can be a list of values
 
 
 @dataclass(frozen=True)
 class Store:
-    """An open store: where it is, its plan, its arrays."""
+    """An open store: where it is, its plan, its arrays, its ledger."""
 
     path: Path
     grid: Grid
     group: zarr.Group
+    ledger: Ledger | None  # none in format 1
 
     @property
     def dtype(self) -> str:
         """Precision of the metrics, `float32` or `float64`."""
         return str(self.group.attrs["dtype"])
 
-    def pending(self) -> list[Block]:
-        """Blocks that are not done, in storage order."""
-        status = self._array("status")
-        return [block for block in self.grid.blocks() if np.any(status[block] == NOT_RUN)]
+    def rows(self) -> list[Row]:
+        """What is known of each block that was worked on. Raises SweepError."""
+        if self.ledger is None:
+            return list(self._scanned())
+        try:
+            rows = list(self.ledger.rows())
+        except LedgerError as error:
+            raise self.damaged(f"{ledgers.NAME}: {error}") from None
+        for row in rows:
+            if not 0 <= row.block < self.grid.n_blocks or set(row.files) - set(self.variables):
+                raise self.damaged(f"{ledgers.NAME}: block {row.block} is none of this sweep")
+        return rows
 
-    def counts(self) -> dict[str, int]:
-        """Cells of each status, counted block by block."""
-        status, total = self._array("status"), np.zeros(len(STATUS), np.int64)
-        for block in self.grid.blocks():
-            total += np.bincount(np.ravel(status[block]), minlength=len(STATUS))
-        return dict(zip(STATUS, total.tolist(), strict=True))
+    def damaged(self, what: str) -> SweepError:
+        """The error for a store that isn't as it was written."""
+        return SweepError(f"{self.path}: {what}; `fic-sweep verify {self.path} --repair` mends it")
 
-    def trusted(self) -> tuple[int, float] | None:
-        """Cells done that are trusted, and the bound; None for a store without estimates."""
-        if not self.grid.sweep.error_estimate:
-            return None
-        flags, status, total = self._array("trusted"), self._array("status"), 0
-        for block in self.grid.blocks():  # status too: an interrupted block is not done
-            done = np.asarray(status[block]) != NOT_RUN
-            total += int(np.sum(done & (np.asarray(flags[block]) == TRUSTED)))
-        return total, float(str(self.group.attrs["trust_bound"]))
+    @cached_property
+    def variables(self) -> list[str]:
+        """What is stored of every cell."""
+        return variable_names(self.grid.sweep)
 
-    def write(self, block: Block, metrics: Metrics, errors: Metrics | None = None) -> int:
-        """Commit one block; returns how many of its scenarios diverged.
+    def file(self, variable: str, index: int) -> Path:
+        """Where a block of a variable is."""
+        return self.path / variable / ".".join(["c", *map(str, self.grid.place(index))])
 
-        A diverged scenario keeps no metrics: its cells are NaN and its status says why.
-        """
-        names, finite = self.grid.sweep.metrics, metrics.finite
-        for name in names:
-            self._put(name, block, np.where(finite, getattr(metrics, name), np.nan))
-        if errors is not None:
-            for name in names:
-                self._put(f"{name}_error", block, np.where(finite, getattr(errors, name), np.nan))
-            flags = np.where(trusted(metrics, errors), TRUSTED, NOT_TRUSTED)
-            self._put("trusted", block, np.where(finite, flags, NO_ESTIMATE))
-        self._put("status", block, np.where(finite, OK, DIVERGED))
-        return int((~finite).sum())
+    def missing(self) -> list[Path]:
+        """Files of finished blocks that are not there."""
+        if self.ledger is None:
+            return []
+        there = {name: _names(self.path / name) for name in self.variables}
+        files = [(n, self.file(n, row.block)) for row in self.rows() for n in row.files]
+        return [path for name, path in files if path.name not in there[name]]
 
-    def note(self, **attributes: str) -> None:
-        """Add attributes, visible to whoever opens the store next."""
-        self.group.attrs.update(attributes)
-        consolidate(self.path)
-
-    def _put(self, name: str, block: Block, values: np.ndarray) -> None:
-        array = self._array(name)
-        shape = tuple(part.stop - part.start for part in block)
-        array[block] = values.reshape(shape).astype(array.dtype)
+    def array(self, name: str) -> zarr.Array[Any]:
+        """A variable on disk."""
+        return self._arrays[name]
 
     @cached_property
     def _arrays(self) -> dict[str, zarr.Array[Any]]:
         return dict(self.group.arrays())
 
-    def _array(self, name: str) -> zarr.Array[Any]:
-        return self._arrays[name]
+    def _scanned(self) -> Iterator[Row]:
+        """Rows of a store that has no ledger, from its status."""
+        status = self.array("status")
+        for index, block in enumerate(self.grid.blocks()):
+            values = np.asarray(status[block])
+            if np.all(values != NOT_RUN):
+                _, ok, diverged, failed = np.bincount(
+                    values.ravel(), minlength=len(STATUS)
+                ).tolist()
+                trusted = 0
+                if self.grid.sweep.error_estimate:
+                    trusted = int(np.sum(np.asarray(self.array("trusted")[block]) == TRUSTED))
+                yield Row(index, DONE, ok, diverged, failed, trusted)
 
 
-def open_store(path: Path, mode: Any = "r+") -> Store:
+@dataclass(frozen=True)
+class Tally:
+    """How far a store is."""
+
+    cells: dict[str, int]  # of each status
+    trusted: int
+    pending: list[int]  # blocks to run, in storage order
+    set_aside: list[Row]
+    begun: dict[int, Row]  # pending blocks of which the ledger knows something
+
+    @classmethod
+    def of(cls, store: Store) -> "Tally":
+        """Count the ledger of a store. Raises SweepError if it is damaged."""
+        rows = store.rows()
+        ok, diverged, failed = (sum(getattr(row, n) for row in rows) for n in list(STATUS)[OK:])
+        not_run = store.grid.cells - ok - diverged - failed
+        cells = dict(zip(STATUS, (not_run, ok, diverged, failed), strict=True))
+        done = {row.block for row in rows if row.outcome == DONE}
+        pending = [i for i in range(store.grid.n_blocks) if i not in done]
+        aside = [row for row in rows if row.outcome == SET_ASIDE]
+        begun = {row.block: row for row in rows if row.outcome != DONE}
+        return cls(cells, sum(row.trusted for row in rows), pending, aside, begun)
+
+
+def open_store(path: Path, mode: Any = "r") -> Store:
     """Open a store and rebuild its plan. Raises SweepError if it is none or was tampered with."""
     if not os.path.isfile(path / "zarr.json"):  # False, too, for a name no file may have
         raise SweepError(f"{path}: is no result store (no zarr.json in it)")
     try:
-        group = zarr.open_group(path, mode=mode)
+        if os.path.getsize(path / "zarr.json") > LARGEST_RECORD:
+            raise ValueError("its zarr.json is too large")
+        group = zarr.open_group(path, mode=mode, zarr_format=3)
         attributes = group.attrs.asdict()
         record = str(attributes["sweep"])
-        estimated = bool(attributes.get("error_estimate"))  # older stores don't say
-        sweep = Sweep.model_validate_json(record).model_copy(update={"error_estimate": estimated})
+        raw = json.loads(record)
+        raw["error_estimate"] = bool(attributes.get("error_estimate"))  # older stores don't say
         chunk, written = int(str(attributes["block_cells"])), attributes["sweep_sha256"]
-        written_format = attributes["format"]
-    except (KeyError, ValueError, OSError) as error:
-        raise SweepError(f"{path}: is no result store of fic-sweep ({error})"[:200]) from None
-    if written_format != FORMAT:
-        raise SweepError(f"{path}: has format {written_format}; this program reads {FORMAT}")
+        written_format, dtype = attributes["format"], attributes["dtype"]
+        if chunk < 1 or dtype not in ("float32", "float64"):
+            raise ValueError(f"block_cells {chunk}, dtype {dtype}")
+    except Exception as error:  # whatever zarr and pydantic make of somebody else's file
+        told = " ".join(str(error).split())[:150]
+        raise SweepError(f"{path}: is no result store of fic-sweep ({told})") from None
+    if written_format not in (1, FORMAT):
+        raise SweepError(f"{path}: has format {written_format}; this program reads up to {FORMAT}")
     if sha256(record) != written:
         raise SweepError(f"{path}: its sweep record differs from the one that began it")
-    return Store(path, Grid(sweep, chunk), group)
+    ledger = Ledger(path / ledgers.NAME) if written_format > 1 else None
+    store = Store(path, Grid(validate(raw, str(path)), chunk), group, ledger)
+    for name, shape, largest in _expected(store):
+        if not _is(store, name, shape, largest):
+            raise SweepError(f"{path}: its variable {name} is not the one of its sweep")
+    return store
+
+
+def _expected(store: Store) -> Iterator[tuple[str, tuple[int, ...], int]]:
+    """Every array of a store: name, shape, and how many values a chunk may have."""
+    grid = store.grid
+    yield from ((name, grid.shape, math.prod(grid.block_shape)) for name in store.variables)
+    for dim, length in grid.dims.items():
+        for name in grid.coordinates(dim, slice(0, 1)):
+            yield name, (length,), min(length, COORDINATE_CHUNK)
+
+
+def _is(store: Store, name: str, shape: tuple[int, ...], largest: int) -> bool:
+    """Whether an array is as we lay it out: somebody else's could ask for any memory or codec."""
+    try:
+        array = store.array(name)
+        told = array.metadata.to_dict()["codecs"]
+        codecs = {codec["name"] for codec in cast(Any, told)}
+        return (
+            array.shape == shape
+            and math.prod(array.chunks) <= largest
+            and codecs <= {"bytes", "blosc", "crc32c", "vlen-utf8"}
+        )
+    except Exception:  # whatever zarr makes of somebody else's metadata
+        return False
+
+
+def _names(folder: Path) -> set[str]:
+    try:
+        return set(os.listdir(folder))
+    except OSError:
+        return set()
 
 
 def variable_names(sweep: Sweep) -> list[str]:
@@ -132,16 +205,13 @@ def sha256(record: str) -> str:
     return hashlib.sha256(record.encode()).hexdigest()
 
 
-def consolidate(path: Path) -> None:
-    """One file with all metadata: xarray opens it without a warning, and faster."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Consolidated metadata")  # zarr: not in the v3 standard
-        zarr.consolidate_metadata(path)
-
-
 def dataset(path: Path) -> "xr.Dataset":
     """The store as a lazy Dataset, its variables in order. Raises SweepError if it is none."""
     import xarray as xr  # half a second with pandas, and a run needs neither
 
-    sweep = open_store(path, "r").grid.sweep  # tells a foreign one
-    return xr.open_zarr(path, chunks=None)[variable_names(sweep)]
+    store = open_store(path)  # tells a foreign one
+    missing = store.missing()  # Zarr would read fill values
+    if missing:
+        first = missing[0].relative_to(path)
+        raise store.damaged(f"{len(missing):,} files of finished blocks are missing ({first}, ...)")
+    return xr.open_zarr(path, chunks=None)[store.variables]

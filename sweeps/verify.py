@@ -1,0 +1,170 @@
+"""Whether a store is as it was written, file by file, and making it so again."""
+
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from sweeps import durable, owner
+from sweeps import ledger as ledgers
+from sweeps.commit import changing, intact, seal
+from sweeps.layout import lay_out
+from sweeps.ledger import Fixed, Ledger, LedgerError, Row
+from sweeps.provenance import KEPT
+from sweeps.runner import Progress, Tell, run
+from sweeps.spec import SweepError
+from sweeps.store import Store, open_store
+
+# Paths that a ledger may name outside the blocks: a store can come from somebody else.
+FIXED = re.compile(r"zarr\.json|[A-Za-z0-9_]+/(zarr\.json|c\.\d+)")
+OWN = {ledgers.NAME, f"{ledgers.NAME}-journal", ledgers.SEAL, owner.NAME}
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing in a store that is not as it was written."""
+
+    what: str  # the file, as a path in the store
+    how: str
+    block: int | None = None  # what it is a part of, if it is computed
+    foreign: bool = False  # nothing of ours: it stays
+
+
+@dataclass(frozen=True)
+class Report:
+    """What was looked at, and what was found."""
+
+    blocks: int
+    files: int
+    problems: tuple[Problem, ...]
+
+    @property
+    def frame(self) -> list[Problem]:
+        """What is wrong with the ledger, the metadata and the coordinates."""
+        return [p for p in self.problems if p.block is None and not p.foreign]
+
+    @property
+    def bad_blocks(self) -> list[int]:
+        """Blocks to be computed again."""
+        return sorted({p.block for p in self.problems if p.block is not None})
+
+
+def verify(path: Path) -> Report:
+    """Read every file of a store and compare it with the ledger; changes nothing.
+
+    Raises SweepError where there is no store, or one of a format without a ledger.
+    """
+    ledger, problems = _ledger_of(path), []
+    try:
+        ledger.check()
+    except (LedgerError, OSError) as error:
+        problems.append(Problem(ledgers.NAME, f"is damaged: {error}"))
+    rows, fixed = ledger.good()
+    problems += [problem for one in fixed for problem in _wrong_fixed(path, one)]
+    if not any(problem.what.endswith("zarr.json") for problem in problems):
+        store = open_store(path)  # what its blocks are can't be told without
+        problems += [problem for row in rows for problem in _wrong_block(store, row)]
+        problems += _extra(store, fixed)
+    return Report(len(rows), len(fixed) + sum(len(row.files) for row in rows), tuple(problems))
+
+
+def mend_frame(path: Path) -> None:
+    """Bring back what the blocks hang in: the ledger, the metadata, the coordinates.
+
+    Rows that a damaged ledger still has whole are kept; blocks whose rows are lost are to be
+    computed again. Raises SweepError where too much is lost, OSError.
+    """
+    ledger = _ledger_of(path)
+    with owner.owning(path), tempfile.TemporaryDirectory() as folder:
+        rows, fixed = ledger.good()
+        root = next((one.content for one in fixed if one.path == "zarr.json"), None)
+        if root is not None:
+            _restore(path, "zarr.json", root)
+        fresh = Path(folder) / "fresh"
+        _lay_out_again(path, fresh)
+        for one in Ledger(fresh / ledgers.NAME).fixed():
+            if one.path != "zarr.json" and not intact(path / one.path, one.stamp):
+                _restore(path, one.path, (fresh / one.path).read_bytes())
+        try:
+            ledger.check()
+        except (LedgerError, OSError):
+            again = Ledger(fresh / ledgers.NAME)
+            again.fix([("zarr.json", (path / "zarr.json").read_bytes())])
+            again.add(rows)
+            durable.write({ledger.path: again.path.read_bytes()})
+            ledger.path.with_name(f"{ledgers.NAME}-journal").unlink(missing_ok=True)
+        seal(ledger)
+
+
+def recompute(store: Store, blocks: list[int], tell: Tell) -> tuple[Progress, list[int]]:
+    """Run blocks again; also returns those that came out other than the ledger has them."""
+    assert store.ledger is not None
+    before = {row.block: row.files for row in store.rows() if row.block in set(blocks)}
+    with changing(store) as (writer, _):
+        writer.ledger.forget(blocks)
+    progress = run(store, tell, blocks)
+    after = {row.block: row.files for row in store.rows()}
+    return progress, [b for b, files in before.items() if b in after and after[b] != files]
+
+
+def _ledger_of(path: Path) -> Ledger:
+    """The ledger of what is a store, be it damaged."""
+    ledger = Ledger(path / ledgers.NAME)
+    if not ledger.path.is_file() or ledger.path.is_symlink():
+        store = open_store(path)
+        if store.ledger is None:
+            raise SweepError(f"{path}: has format 1, whose blocks have no checksums in a ledger")
+    return ledger
+
+
+def _wrong_fixed(path: Path, one: Fixed) -> Iterator[Problem]:
+    if not FIXED.fullmatch(one.path):
+        yield Problem(ledgers.NAME, f"is damaged: it names a file {one.path!r}")
+    elif not intact(path / one.path, one.stamp):
+        yield Problem(one.path, _how(path / one.path))
+
+
+def _wrong_block(store: Store, row: Row) -> Iterator[Problem]:
+    if not 0 <= row.block < store.grid.n_blocks or set(row.files) != set(store.variables):
+        yield Problem(ledgers.NAME, f"is damaged: block {row.block} is none of this sweep")
+        return
+    for name, stamp in row.files.items():
+        file = store.file(name, row.block)
+        if not intact(file, stamp):
+            yield Problem(str(file.relative_to(store.path)), _how(file), row.block)
+
+
+def _extra(store: Store, fixed: list[Fixed]) -> Iterator[Problem]:
+    """Whatever is not part of the store. A block without a row is: it was under way."""
+    known = {one.path for one in fixed} | OWN
+    known |= {one.path.partition("/")[0] for one in fixed}
+    n = store.grid.n_blocks
+    blocks = {store.file("status", index).name for index in range(n)}
+    for file in sorted(store.path.glob("**/*")):
+        name = file.relative_to(store.path)
+        chunk = name.name.removesuffix(durable.PARTIAL)
+        ours = len(name.parts) == 2 and name.parts[0] in store.variables and chunk in blocks
+        if not (name.as_posix() in known or ours) or file.is_symlink():
+            yield Problem(name.as_posix(), "is not part of the store", foreign=True)
+
+
+def _how(file: Path) -> str:
+    return "is not as it was written" if file.exists() else "is missing"
+
+
+def _lay_out_again(path: Path, fresh: Path) -> None:
+    """The store as it was before its first block, from its record."""
+    store = open_store(path)
+    attributes = store.group.attrs.asdict()
+    lay_out(fresh, store.grid, {key: attributes[key] for key in KEPT if key in attributes})
+
+
+def _restore(path: Path, name: str, content: bytes) -> None:
+    """Put a file back; what stands in its place goes."""
+    place = path / name
+    if place.is_symlink() or place.is_dir():
+        place.unlink() if place.is_symlink() else shutil.rmtree(place)
+    place.parent.mkdir(exist_ok=True)
+    durable.write({place: content})
