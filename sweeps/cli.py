@@ -142,25 +142,29 @@ def verify(
 ) -> None:
     """Compare every file of a store with its ledger."""
     from sweeps import verify as check
-    from sweeps.messages import interruption, verification
+    from sweeps.messages import interruption, many, verification
 
-    report = check.verify(path)
-    print("\n".join(verification(path, report)))
-    if repair and report.frame:
-        check.mend_frame(path)
+    def look() -> check.Report:
         report = check.verify(path)
-    if repair and report.bad_blocks:
+        print("\n".join(verification(path, report)), flush=True)
+        return report
+
+    report, lost = look(), list[int]()
+    if repair and report.frame:
+        lost = check.mend_frame(path)
+        report = look()
+    blocks = sorted({*lost, *report.bad_blocks})
+    if repair and blocks:
+        print(f"{path}: computing {many(len(blocks), 'block')} again", flush=True)
         asked, store = _stop_between_blocks(), _reopened(path)
         try:
-            _, other = check.recompute(store, report.bad_blocks, lambda p: _stop_if(asked, p))
+            other = check.recompute(store, blocks, lambda told: _stop_if(asked, told))
         except (KeyboardInterrupt, OSError) as error:
             print(f"fic-sweep: {interruption(store, error)}", file=sys.stderr)
             raise typer.Exit(1) from None
         for block in other:
             print(f"fic-sweep: {path}: block {block} came out different", file=sys.stderr)
-        report = check.verify(path)
-    if repair:
-        print("\n".join(verification(path, report)))
+        report = look()
     raise typer.Exit(1 if report.problems else 0)
 
 
@@ -412,6 +416,8 @@ def _reading(path: Path) -> Iterator[None]:
     except (OSError, ValueError, KeyError, RuntimeError) as error:
         if isinstance(error, typer.Exit):
             raise
+        if isinstance(error, OSError) and error.filename:
+            _refuse(f"{path}: can't be read: {error.filename}: {error.strerror}")
         _refuse(f"{path}: can't be read: {str(error).splitlines()[0][:200]}")
 
 

@@ -33,9 +33,7 @@ def extend(store: Store, plan: Sweep, source: str) -> Store:
         problems = list(_losses(store.grid, grid))
     if problems:
         raise SweepError("\n".join(f"{source}: {told}" for told in problems))
-    missing = store.missing()
-    if missing:
-        raise store.damaged(f"{len(missing):,} files of finished blocks are missing")
+    store.refuse_missing()
     path, partial = store.path, store.path.with_name(f".{store.path.name}{PARTIAL}")
     refuse_small_disk(path, grid, store.dtype)
     attributes = {key: store.group.attrs[key] for key in KEPT} | {"extended": now()}

@@ -62,7 +62,7 @@ def set_aside_lines(store: Store, rows: Sequence[Row]) -> Iterator[str]:
         where = ", ".join(_stretch(store.grid, row.block))
         yield f"block {row.block} ({where}) after {row.attempt} attempts: {row.error}"
     if len(rows) > NAMED:
-        yield f"and {len(rows) - NAMED:,} more blocks"
+        yield f"and {many(len(rows) - NAMED, 'more block')}"
 
 
 def _stretch(grid: Grid, index: int) -> Iterator[str]:
@@ -107,7 +107,7 @@ def progress_line(progress: Progress) -> str:
 def log_line(progress: Progress) -> str:
     """How far a run is, for a log."""
     share = _share(progress.done, progress.cells)
-    failed = f"; {len(progress.set_aside)} blocks failed" if progress.set_aside else ""
+    failed = f"; {many(len(progress.set_aside), 'block')} failed" if progress.set_aside else ""
     return f"{progress.done:,} of {progress.cells:,} ({share}) {progress_line(progress)}{failed}"
 
 
@@ -126,22 +126,27 @@ def summary(store: Store, result: Progress) -> str:
 
 def failure(store: Store, result: Progress) -> Iterator[str]:
     """What a run could not compute, and how to try again."""
-    n = len(result.set_aside)
-    blocks = f"{n:,} {'block' if n == 1 else 'blocks'} of {store.grid.n_blocks:,}"
+    blocks = f"{many(len(result.set_aside), 'block')} of {store.grid.n_blocks:,}"
     yield f"{blocks} failed and set aside; `fic-sweep resume {store.path}` tries again"
     yield from set_aside_lines(store, result.set_aside)
 
 
 def verification(path: Path, report: Report) -> Iterator[str]:
     """What was looked at, and each thing that is not as it was written."""
-    looked = f"{report.blocks:,} blocks, {report.files:,} files"
-    if not report.problems:
-        yield f"{path}: {looked}: all as written"
-        return
-    yield f"{path}: {looked}: {len(report.problems):,} not as written"
+    looked = f"{path}: {many(report.files, 'file')}"
+    if report.blocks is not None:
+        looked = f"{path}: {many(report.blocks, 'block')}, {many(report.files, 'file')}"
+    if report.problems:
+        yield f"{looked}: {len(report.problems):,} not as written"
+    else:
+        yield f"{looked}: all as written"
     yield from (f"  {problem.what} {problem.how}" for problem in report.problems[:LISTED])
     if len(report.problems) > LISTED:
         yield f"  and {len(report.problems) - LISTED:,} more"
+    if report.blocks is None:
+        yield "  its blocks can be looked at once that is mended"
+    elif report.blocks < report.planned:
+        yield f"  {many(report.planned - report.blocks, 'block')} still to run"
 
 
 def interruption(store: Store, error: BaseException) -> str:
@@ -190,6 +195,11 @@ def _size(n: float) -> str:
             return f"{n:.3g} {unit}"
         n /= 1000
     return f"{n:.3g} TB"
+
+
+def many(n: int, word: str) -> str:
+    """A number of things, the word in its right form."""
+    return f"{n:,} {word}" + ("" if n == 1 else "s")
 
 
 def _share(part: int, whole: int) -> str:

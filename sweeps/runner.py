@@ -43,12 +43,19 @@ class Progress:
     seconds: float = 0.0  # since this run began
     set_aside: tuple[Row, ...] = ()  # blocks that this run could not compute
 
-    def after(self, row: Row, cells: int, seconds: float) -> "Progress":
-        """Once one more block is on disk."""
+    def after(self, row: Row, before: Row | None, seconds: float) -> "Progress":
+        """Once one more block is on disk, of which there may have been something `before`."""
         if row.outcome == SET_ASIDE:
             return replace(self, seconds=seconds, set_aside=(*self.set_aside, row))
-        done, ran, diverged = self.done + cells, self.ran + cells, self.diverged + row.diverged
-        return replace(self, done=done, ran=ran, diverged=diverged, seconds=seconds)
+        diverged = row.diverged - (before.diverged if before else 0)
+        cells = row.ok - (before.ok if before else 0) + diverged
+        return replace(
+            self,
+            done=self.done + cells,
+            ran=self.ran + cells,
+            diverged=self.diverged + diverged,
+            seconds=seconds,
+        )
 
 
 Tell = Callable[[Progress], None]
@@ -95,15 +102,13 @@ def run(store: Store, tell: Tell, only: Collection[int] | None = None) -> Progre
     with changing(store) as (writer, owner):
         tally = Tally.of(store)
         pending = [i for i in tally.pending if only is None or i in only]
-        todo = sum(cells_of(grid.block(index)) for index in tally.pending)
-        progress = Progress(grid.cells, grid.cells - todo)
+        progress = Progress(grid.cells, tally.cells["ok"] + tally.cells["diverged"])
         tell(progress)
         # what its process was killed in may be what killed it, and comes last
         pending.sort(key=lambda index: index == owner.died_at)
         with closing(_committed(writer, owner, pending, tally.begun)) as committed:
             for row, when in committed:
-                cells = cells_of(grid.block(row.block))
-                progress = progress.after(row, cells, when - began)
+                progress = progress.after(row, tally.begun.get(row.block), when - began)
                 tell(progress)
         if progress.done == grid.cells and "end" not in store.group.attrs:
             writer.ended()  # also where an interruption came just before this line

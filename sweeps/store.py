@@ -55,13 +55,15 @@ class Store:
         """What is known of each block that was worked on. Raises SweepError."""
         if self.ledger is None:
             return list(self._scanned())
+        if not self.ledger.path.is_file():
+            raise self.damaged(f"{ledgers.NAME} is missing")
         try:
             rows = list(self.ledger.rows())
         except LedgerError as error:
-            raise self.damaged(f"{ledgers.NAME}: {error}") from None
+            raise self.damaged(f"{ledgers.NAME} is damaged: {error}") from None
         for row in rows:
             if not 0 <= row.block < self.grid.n_blocks or set(row.files) - set(self.variables):
-                raise self.damaged(f"{ledgers.NAME}: block {row.block} is none of this sweep")
+                raise self.damaged(f"{ledgers.NAME} is damaged: it has a block {row.block}")
         return rows
 
     def damaged(self, what: str) -> SweepError:
@@ -77,13 +79,16 @@ class Store:
         """Where a block of a variable is."""
         return self.path / variable / ".".join(["c", *map(str, self.grid.place(index))])
 
-    def missing(self) -> list[Path]:
-        """Files of finished blocks that are not there."""
-        if self.ledger is None:
-            return []
+    def refuse_missing(self) -> None:
+        """Raise SweepError where files of finished blocks are gone: Zarr would read fill values."""
+        rows = self.rows() if self.ledger else []
         there = {name: _names(self.path / name) for name in self.variables}
-        files = [(n, self.file(n, row.block)) for row in self.rows() for n in row.files]
-        return [path for name, path in files if path.name not in there[name]]
+        files = (self.file(name, row.block) for row in rows for name in row.files)
+        missing = [file for file in files if file.name not in there[file.parent.name]]
+        if missing:
+            first = missing[0].relative_to(self.path)
+            more = f" and {len(missing) - 1:,} more files" if len(missing) > 1 else ""
+            raise self.damaged(f"lacks {first}{more}, of finished blocks")
 
     def array(self, name: str) -> zarr.Array[Any]:
         """A variable on disk."""
@@ -210,8 +215,5 @@ def dataset(path: Path) -> "xr.Dataset":
     import xarray as xr  # half a second with pandas, and a run needs neither
 
     store = open_store(path)  # tells a foreign one
-    missing = store.missing()  # Zarr would read fill values
-    if missing:
-        first = missing[0].relative_to(path)
-        raise store.damaged(f"{len(missing):,} files of finished blocks are missing ({first}, ...)")
+    store.refuse_missing()
     return xr.open_zarr(path, chunks=None)[store.variables]

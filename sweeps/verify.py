@@ -13,7 +13,7 @@ from sweeps.commit import changing, intact, seal
 from sweeps.layout import lay_out
 from sweeps.ledger import Fixed, Ledger, LedgerError, Row
 from sweeps.provenance import KEPT
-from sweeps.runner import Progress, Tell, run
+from sweeps.runner import Tell, run
 from sweeps.spec import SweepError
 from sweeps.store import Store, open_store
 
@@ -36,9 +36,10 @@ class Problem:
 class Report:
     """What was looked at, and what was found."""
 
-    blocks: int
+    blocks: int | None  # None: they can't be told before the metadata is mended
     files: int
     problems: tuple[Problem, ...]
+    planned: int = 0  # blocks of the whole sweep
 
     @property
     def frame(self) -> list[Problem]:
@@ -56,25 +57,26 @@ def verify(path: Path) -> Report:
 
     Raises SweepError where there is no store, or one of a format without a ledger.
     """
-    ledger, problems = _ledger_of(path), []
-    try:
-        ledger.check()
-    except (LedgerError, OSError) as error:
-        problems.append(Problem(ledgers.NAME, f"is damaged: {error}"))
+    ledger = _ledger_of(path)
+    problems = list(_wrong_ledger(ledger))
     rows, fixed = ledger.good()
+    whole = not problems
     problems += [problem for one in fixed for problem in _wrong_fixed(path, one)]
-    if not any(problem.what.endswith("zarr.json") for problem in problems):
-        store = open_store(path)  # what its blocks are can't be told without
-        problems += [problem for row in rows for problem in _wrong_block(store, row)]
+    if any(problem.what.endswith("zarr.json") for problem in problems):
+        return Report(None, len(fixed), tuple(problems))
+    store = open_store(path)
+    problems += [problem for row in rows for problem in _wrong_block(store, row)]
+    if whole:
         problems += _extra(store, fixed)
-    return Report(len(rows), len(fixed) + sum(len(row.files) for row in rows), tuple(problems))
+    n_files = len(fixed) + sum(len(row.files) for row in rows)
+    return Report(len(rows), n_files, tuple(problems), store.grid.n_blocks)
 
 
-def mend_frame(path: Path) -> None:
+def mend_frame(path: Path) -> list[int]:
     """Bring back what the blocks hang in: the ledger, the metadata, the coordinates.
 
-    Rows that a damaged ledger still has whole are kept; blocks whose rows are lost are to be
-    computed again. Raises SweepError where too much is lost, OSError.
+    Rows that a damaged ledger still has whole are kept; returns the blocks whose rows are lost
+    and are to be computed again. Raises SweepError where too much is lost, OSError.
     """
     ledger = _ledger_of(path)
     with owner.owning(path), tempfile.TemporaryDirectory() as folder:
@@ -87,26 +89,29 @@ def mend_frame(path: Path) -> None:
         for one in Ledger(fresh / ledgers.NAME).fixed():
             if one.path != "zarr.json" and not intact(path / one.path, one.stamp):
                 _restore(path, one.path, (fresh / one.path).read_bytes())
-        try:
-            ledger.check()
-        except (LedgerError, OSError):
+        store, lost = open_store(path), []
+        if any(_wrong_ledger(ledger)):
             again = Ledger(fresh / ledgers.NAME)
             again.fix([("zarr.json", (path / "zarr.json").read_bytes())])
             again.add(rows)
             durable.write({ledger.path: again.path.read_bytes()})
             ledger.path.with_name(f"{ledgers.NAME}-journal").unlink(missing_ok=True)
+            known = {row.block for row in rows}
+            written = (i for i in range(store.grid.n_blocks) if store.file("status", i).exists())
+            lost = [index for index in written if index not in known]
         seal(ledger)
+    return lost
 
 
-def recompute(store: Store, blocks: list[int], tell: Tell) -> tuple[Progress, list[int]]:
-    """Run blocks again; also returns those that came out other than the ledger has them."""
+def recompute(store: Store, blocks: list[int], tell: Tell) -> list[int]:
+    """Run blocks again; returns those that came out other than the ledger has them."""
     assert store.ledger is not None
     before = {row.block: row.files for row in store.rows() if row.block in set(blocks)}
     with changing(store) as (writer, _):
         writer.ledger.forget(blocks)
-    progress = run(store, tell, blocks)
+    run(store, tell, blocks)
     after = {row.block: row.files for row in store.rows()}
-    return progress, [b for b, files in before.items() if b in after and after[b] != files]
+    return [b for b, files in before.items() if b in after and after[b] != files]
 
 
 def _ledger_of(path: Path) -> Ledger:
@@ -117,6 +122,16 @@ def _ledger_of(path: Path) -> Ledger:
         if store.ledger is None:
             raise SweepError(f"{path}: has format 1, whose blocks have no checksums in a ledger")
     return ledger
+
+
+def _wrong_ledger(ledger: Ledger) -> Iterator[Problem]:
+    if not ledger.path.is_file():
+        yield Problem(ledgers.NAME, "is missing")
+        return
+    try:
+        ledger.check()
+    except LedgerError as error:
+        yield Problem(ledgers.NAME, f"is damaged: {error}")
 
 
 def _wrong_fixed(path: Path, one: Fixed) -> Iterator[Problem]:
