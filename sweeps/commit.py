@@ -52,7 +52,7 @@ class Writer:
     def commit(self, values: Values, row: Row) -> Row:
         """Write a block, then its row, with what is counted here; returns the row.
 
-        Raises OSError; the block is then as it was.
+        Raises OSError; the block then has no row.
         """
         files = {name: self._encode(row.block, name, values[name]) for name in self.store.variables}
         durable.write({self.store.file(name, row.block): files[name] for name in files})
