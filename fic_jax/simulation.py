@@ -125,7 +125,7 @@ def sampled(
         return (state, carry[1] + sample.work), sample
 
     carry = (state, jnp.zeros_like(state.x))
-    (state, work), samples = jax.lax.scan(body, carry, length=substeps, unroll=substeps <= 2)
+    (state, work), samples = jax.lax.scan(body, carry, length=substeps, unroll=2 if substeps == 2 else 1)
     return state, replace(jax.tree.map(lambda leaf: leaf[-1], samples), work=work)
 
 
