@@ -7,6 +7,8 @@ a scenario's bits independent of N, of its neighbours and of the chunking.
 
 import os
 import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
 from typing import Any, Literal, overload
@@ -27,8 +29,10 @@ LANES = 128
 # Samples in one turn of the time loop: two are 1.2 times faster than one, more only take longer to
 # compile; a located step is long enough by itself.
 UNROLL = {"rk4": 2, "rk4_events": 1}
+# How the scenarios of a call are arranged on a platform; what is not named here is scanned.
+ARRANGEMENT = {"gpu": "kernel"}
 # Blocks that one call holds for each device: some tenths of a second of work at 1,000 steps.
-BLOCKS = 128
+BLOCKS = {"scan": 128, "kernel": 8192, "interpreted": 4}
 
 # XLA:CPU runs a loop's body as separate kernels, whose dispatch and memory traffic dominate; the
 # threshold makes it compile the whole time loop as one function. The rest helps it to vectorise.
@@ -80,6 +84,16 @@ def tune_for_throughput(devices: int | None = None) -> None:
     os.environ["XLA_FLAGS"] = " ".join([present, *wanted]).strip()
 
 
+@dataclass(frozen=True)
+class Program:
+    """What runs one call."""
+
+    run: Any  # columns, dt, blocks -> results
+    sharding: NamedSharding  # of the columns
+    result: Any  # the types of one scenario's result
+    blocks: int  # that a call holds for each device
+
+
 @overload
 def sweep(
     batch: Params,
@@ -120,13 +134,14 @@ def sweep(
     n = _length(leaves)
     check(Params(*leaves), dt, n_steps)
     devices = tuple(jax.local_devices())
-    capacity = len(devices) * BLOCKS * LANES
-    program, sharding, result = _compiled(model, n_steps, error_estimate, dtype, devices)
-    out = jax.tree.map(lambda leaf: np.empty(n, leaf.dtype), result)
+    program = _compiled(model, n_steps, error_estimate, dtype, devices)
+    capacity = len(devices) * program.blocks * LANES
+    out = jax.tree.map(lambda leaf: np.empty(n, leaf.dtype), program.result)
     for start in range(0, n, capacity):
         part = slice(start, min(start + capacity, n))
-        columns, blocks = _pack(leaves, part, dtype, len(devices))
-        metrics = program(jax.device_put(columns, sharding), np.asarray(dt, dtype), blocks)
+        columns, blocks = _pack(leaves, part, dtype, len(devices), program.blocks)
+        placed = jax.device_put(columns, program.sharding)
+        metrics = program.run(placed, np.asarray(dt, dtype), blocks)
         _unpack(metrics, out, part, blocks)
     return out
 
@@ -140,7 +155,7 @@ def _length(leaves: list[np.ndarray]) -> int:
 
 
 def _pack(
-    leaves: list[np.ndarray], part: slice, dtype: np.dtype, n_devices: int
+    leaves: list[np.ndarray], part: slice, dtype: np.dtype, n_devices: int, n_blocks: int
 ) -> tuple[np.ndarray, np.int32]:
     """Scenarios `part` as [field, device, block, lane], and the blocks each device has to run.
 
@@ -148,7 +163,7 @@ def _pack(
     """
     n = part.stop - part.start
     blocks = -(-n // (LANES * n_devices))
-    columns = np.empty((len(leaves), n_devices, BLOCKS, LANES), dtype)
+    columns = np.empty((len(leaves), n_devices, n_blocks, LANES), dtype)
     lanes = np.empty(n_devices * blocks * LANES, dtype)
     for column, leaf in zip(columns, leaves, strict=True):
         lanes[:n] = leaf[part] if leaf.ndim and leaf.size > 1 else leaf
@@ -181,40 +196,97 @@ def _compiled(
     error_estimate: bool,
     dtype: np.dtype,
     devices: tuple[jax.Device, ...],
-) -> tuple[Any, NamedSharding, Any]:
-    """The program for one call, [field, device, block, lane] -> Metrics of [device, block, lane].
+) -> Program:
+    """The program for one call on these devices, in the arrangement that suits them.
 
-    With `error_estimate` a pair of them. Also where its input lies, and the types of a result.
+    Where a GPU's kernel can't be built, a warning says so and the scan is used there as well.
+    """
+    arrangement = ARRANGEMENT.get(devices[0].platform, "scan")
+    if arrangement == "kernel":
+        try:
+            return _built(arrangement, model, n_steps, error_estimate, dtype, devices)
+        except Exception as error:  # whatever Pallas, Triton or the driver make of it
+            told = f"{type(error).__name__}: {error}".splitlines()[0][:200]
+            warnings.warn(
+                f"no GPU kernel with jax {jax.__version__} on {devices[0].device_kind} ({told}): "
+                "several launches for each plant step instead, expect a small part of the speed",
+                RuntimeWarning,
+                stacklevel=3,
+            )
+            arrangement = "scan"
+    return _built(arrangement, model, n_steps, error_estimate, dtype, devices)
+
+
+def _built(
+    arrangement: str,
+    model: Model,
+    n_steps: int,
+    error_estimate: bool,
+    dtype: np.dtype,
+    devices: tuple[jax.Device, ...],
+) -> Program:
+    """A program that takes [field, device, block, lane] to results of [device, block, lane].
 
     The number of blocks is a value, not a shape: a ragged end runs the same code on fewer blocks.
     """
-
-    one, unroll = estimated if error_estimate else compiled_evaluate, UNROLL[model.integrator]
-
-    def scenario(column: jax.Array, dt: jax.Array) -> Any:
-        params = Params(**dict(zip(QUANTITIES, column, strict=True)))
-        return one(params, model, dt, n_steps, unroll=unroll)
-
-    block = jax.vmap(scenario, in_axes=(1, None))
+    unroll = UNROLL[model.integrator] if arrangement == "scan" else 1
+    scenario = _scenario(model, n_steps, error_estimate, unroll)
     result = _result(model, error_estimate, dtype)
+    if arrangement == "scan":
+        of_device = _in_blocks(jax.vmap(scenario, in_axes=(1, None)), result)
+    else:
+        from fic_jax.kernel import in_one_kernel  # Pallas takes a while to import
+
+        of_device = in_one_kernel(
+            scenario, result, lanes=LANES, interpret=arrangement == "interpreted"
+        )
 
     def on_device(columns: jax.Array, dt: jax.Array, blocks: jax.Array) -> Any:
-        columns = columns[:, 0]
-
-        def body(i: jax.Array, out: Any) -> Any:
-            return jax.tree.map(lambda o, m: o.at[i].set(m), out, block(columns[:, i], dt))
-
-        out = jax.tree.map(lambda leaf: jnp.zeros((BLOCKS, LANES), leaf.dtype), result)
-        out = jax.lax.fori_loop(0, blocks, body, out)
-        return jax.tree.map(lambda o: o[None], out)
+        return jax.tree.map(lambda o: o[None], of_device(columns[:, 0], dt, blocks))
 
     mesh = Mesh(np.array(devices), ("device",))
     spec = P(None, "device")
-    shares = jax.shard_map(
-        on_device,
-        mesh=mesh,
-        in_specs=(spec, P(), P()),
-        out_specs=P("device"),
-        check_vma=False,
+    shares = jax.jit(
+        jax.shard_map(
+            on_device,
+            mesh=mesh,
+            in_specs=(spec, P(), P()),
+            out_specs=P("device"),
+            check_vma=False,
+        )
     )
-    return jax.jit(shares), NamedSharding(mesh, spec), result
+    sharding, blocks = NamedSharding(mesh, spec), BLOCKS[arrangement]
+    if arrangement != "kernel":
+        return Program(shares, sharding, result, blocks)
+    shape = (len(QUANTITIES), len(devices), blocks, LANES)
+    columns = jax.ShapeDtypeStruct(shape, dtype, sharding=sharding)
+    with warnings.catch_warnings():
+        # jax 0.11 announces Triton's end; Mosaic, its successor, asks for a Hopper GPU
+        warnings.filterwarnings("ignore", "The Pallas Triton backend", DeprecationWarning)
+        run = shares.lower(columns, np.zeros((), dtype), np.int32(0)).compile()
+    return Program(run, sharding, result, blocks)
+
+
+def _scenario(model: Model, n_steps: int, error_estimate: bool, unroll: int) -> Any:
+    """One scenario, from its column of quantities and dt to its result."""
+    one = estimated if error_estimate else compiled_evaluate
+
+    def scenario(column: Sequence[jax.Array], dt: jax.Array) -> Any:
+        params = Params(**dict(zip(QUANTITIES, column, strict=True)))
+        return one(params, model, dt, n_steps, unroll=unroll)
+
+    return scenario
+
+
+def _in_blocks(block: Any, result: Any) -> Any:
+    """Block after block, each with its whole time loop: what a CPU's first cache can hold."""
+
+    def of_device(columns: jax.Array, dt: jax.Array, blocks: jax.Array) -> Any:
+        def body(i: jax.Array, out: Any) -> Any:
+            return jax.tree.map(lambda o, m: o.at[i].set(m), out, block(columns[:, i], dt))
+
+        shape = columns.shape[1:]
+        out = jax.tree.map(lambda leaf: jnp.zeros(shape, leaf.dtype), result)
+        return jax.lax.fori_loop(0, blocks, body, out)
+
+    return of_device

@@ -11,6 +11,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from fic_jax.environment import in_contact
 from fic_jax.params import Model, Params, Scalar, check_count
@@ -148,7 +149,10 @@ def finish(acc: Accumulator, x: Scalar, v: Scalar, n_steps: int, dt: jax.Array) 
         contact_lost=seconds(lost),
         mode_switches=acc.switches,
         energy_in=acc.work.total,
-        finite=jnp.isfinite(jnp.stack([x, v, nmse, acc.work.total])).all(axis=0),
+        finite=jnp.isfinite(x)
+        & jnp.isfinite(v)
+        & jnp.isfinite(nmse)
+        & jnp.isfinite(acc.work.total),
     )
 
 
@@ -178,12 +182,11 @@ def compiled_evaluate(
 ) -> Metrics:
     """`evaluate` on canonical numbers; `unroll` samples are compiled as one turn of the loop."""
 
-    def body(carry: Any, k: jax.Array) -> tuple[Any, None]:
+    def body(k: jax.Array, carry: Any) -> Any:
         state, acc = carry
         state, sample = sampled(p, state, model, dt, substeps)
-        return (state, update(acc, sample, k, n_steps, p, model)), None
+        return state, update(acc, sample, k, n_steps, p, model)
 
     start = (init(p, model), empty(p))
-    steps = jnp.arange(n_steps, dtype=jnp.int32)
-    (state, acc), _ = jax.lax.scan(body, start, steps, unroll=unroll)
+    state, acc = jax.lax.fori_loop(np.int32(0), np.int32(n_steps), body, start, unroll=unroll)
     return finish(acc, state.x, state.v, n_steps, dt)

@@ -129,7 +129,7 @@ def strong(leaf: Scalar, dtype: Any) -> Scalar:
 
 def steps_per_period(period: Scalar, dt: Scalar) -> jax.Array:
     """Plant steps between two ticks of Algorithm 2, a whole number >= 1."""
-    return jnp.maximum(jnp.round(period / dt), 1.0).astype(jnp.int32)
+    return jnp.maximum(jnp.floor(period / dt + 0.5), 1.0).astype(jnp.int32)
 
 
 def check_field(name: str, values: Any, dt: float | None = None) -> None:

@@ -120,13 +120,11 @@ def sampled(
     if substeps == 1:
         return one(state)
 
-    def body(carry: tuple[State, Scalar], _: None) -> tuple[tuple[State, Scalar], Sample]:
+    def body(_: jax.Array, carry: tuple[State, Sample]) -> tuple[State, Sample]:
         state, sample = one(carry[0])
-        return (state, carry[1] + sample.work), sample
+        return state, replace(sample, work=carry[1].work + sample.work)
 
-    carry = (state, jnp.zeros_like(state.x))
-    (state, work), samples = jax.lax.scan(body, carry, length=substeps, unroll=2 if substeps == 2 else 1)
-    return state, replace(jax.tree.map(lambda leaf: leaf[-1], samples), work=work)
+    return jax.lax.fori_loop(1, substeps, body, one(state))
 
 
 compiled_step = jax.jit(plant_step, static_argnames="model")

@@ -38,6 +38,13 @@ class Precision(StrEnum):
     double = "64"
 
 
+class Device(StrEnum):
+    """Where a sweep runs."""
+
+    cpu = "cpu"
+    gpu = "gpu"
+
+
 class Format(StrEnum):
     """What `export` writes."""
 
@@ -96,6 +103,7 @@ def run(
     dry_run: Annotated[bool, typer.Option(help="size, bytes and expected time only")] = False,
     precision: Annotated[Precision, typer.Option(help="bits of a number")] = Precision.single,
     chunk: Annotated[int | None, typer.Option(min=1, help="cells of a block at most")] = None,
+    device: Annotated[Device | None, typer.Option(help="default: a GPU if JAX has one")] = None,
     error_estimate: Annotated[
         bool, typer.Option("--error-estimate", help="also store the error of every metric")
     ] = False,
@@ -106,7 +114,7 @@ def run(
     sweep = _load(what, set_)
     from sweeps import runner
 
-    runner.configure(int(precision))
+    runner.configure(int(precision), device and device.value)
     _warn(sweep)
     if dry_run:
         _dry_run(sweep, chunk, f"float{precision}")
@@ -173,8 +181,9 @@ def _reopened(path: Path) -> "Store":
     from sweeps import runner
     from sweeps.store import open_store
 
-    precision = int(open_store(path).dtype.removeprefix("float"))
-    runner.configure(precision)
+    store = open_store(path)
+    precision = int(store.dtype.removeprefix("float"))
+    runner.configure(precision, str(store.group.attrs.get("platform", "cpu")))
     return runner.reopen(path, precision)
 
 

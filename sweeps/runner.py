@@ -61,9 +61,20 @@ class Progress:
 Tell = Callable[[Progress], None]
 
 
-def configure(precision: int) -> None:
-    """Set JAX up for sweeps, with programs kept from run to run; before JAX starts."""
+def configure(precision: int, device: str | None = None) -> None:
+    """Set JAX up for sweeps, with programs kept from run to run; before JAX starts.
+
+    `device` is "cpu", "gpu" or what JAX prefers. Raises SweepError where there is no such device.
+    """
     tune_for_throughput()
+    if device == "cpu":
+        jax.config.update("jax_platforms", "cpu")
+    elif device:
+        try:
+            jax.devices(device)
+        except RuntimeError:
+            needed = "a GPU needs a driver and `pip install 'jax[cuda12]'`"
+            raise SweepError(f"JAX {jax.__version__} finds no {device} here; {needed}") from None
     jax.config.update("jax_enable_x64", precision == 64)
     kept = programs()
     own = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]

@@ -100,6 +100,8 @@ WRONG = [
     (["run", "tiny.toml", "--out", "tiny.toml/a.zarr"], "tiny.toml/a.zarr: can't be written"),
     (["run", "tiny.toml", "--out", "/proc/a.zarr"], "for 12 cells, but /proc has 0 GB free"),
     (["run", "tiny.toml", "--frobnicate"], "No such option"),
+    (["run", "tiny.toml", "--device", "gpu"], "finds no gpu here; a GPU needs a driver"),
+    (["run", "tiny.toml", "--device", "tpu"], "'tpu' is not one of 'cpu', 'gpu'"),
     (["run", "tiny.toml", "--set", "error_estimate=1"], "must be true or false, but is 1."),
     (["run"], "Missing argument"),
     (["run", "tiny.toml", "--out", "x" * 300], "xxx: File name too long"),

@@ -25,7 +25,8 @@ ARROWS = {
     },
     "fic_jax.metrics": {f"fic_jax.{name}" for name in ("params", "environment", "simulation")},
     "fic_jax.accuracy": {f"fic_jax.{name}" for name in ("params", "metrics", "simulation")},
-    "fic_jax.engine": {f"fic_jax.{name}" for name in ("params", "metrics", "accuracy")},
+    "fic_jax.kernel": set(),
+    "fic_jax.engine": {f"fic_jax.{n}" for n in ("params", "metrics", "accuracy", "kernel")},
 }
 HEAVY = {"jax", "numpy", "scipy", "xarray", "zarr", "pandas", "pydantic", "matplotlib", "fic_jax"}
 

@@ -70,7 +70,7 @@ def test_jit_equals_eager(law):
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_scenario_alone_equals_its_lane_in_a_full_block(dtype):
     """Bit for bit, whatever its neighbours, its place, the number of scenarios and of calls."""
-    n = 2 * BLOCKS * LANES + 77  # more than one call of the program, with a ragged end
+    n = 2 * BLOCKS["scan"] * LANES + 77  # more than one call of the program, with a ragged end
     batch = random_batch(n, dtype=dtype)
     whole = fic_jax.sweep(batch, dt=DT, n_steps=60)
     assert whole.nmse.dtype == dtype
@@ -87,7 +87,7 @@ def test_any_block_size_gives_the_same_bits(lanes, blocks, monkeypatch):
     batch = random_batch(700)
     chosen = fic_jax.sweep(batch, dt=DT, n_steps=60)
     monkeypatch.setattr(fic_jax.engine, "LANES", lanes)
-    monkeypatch.setattr(fic_jax.engine, "BLOCKS", blocks)
+    monkeypatch.setitem(BLOCKS, "scan", blocks)
     _compiled.cache_clear()
     assert_same(fic_jax.sweep(batch, dt=DT, n_steps=60), chosen)
     _compiled.cache_clear()

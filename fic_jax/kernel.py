@@ -1,0 +1,61 @@
+"""A run of many scenarios as one kernel of a GPU: nothing leaves the registers before its end.
+
+`lax.scan` launches several kernels a plant step there (jax#2491). Here the grid runs over blocks of
+scenarios, one a thread, and each block traces the function that the scan arrangement compiles too.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.experimental import pallas as pl
+from jax.experimental.pallas import triton
+
+WARP = 32  # threads that step together
+
+
+def in_one_kernel(
+    run: Callable[[list[jax.Array], jax.Array], Any], result: Any, *, lanes: int, interpret: bool
+) -> Callable[[jax.Array, jax.Array, jax.Array], Any]:
+    """`run` over many blocks: columns [field, block, lane], dt, blocks -> leaves [block, lane].
+
+    `run` takes a list of [lane] columns and dt to a pytree of [lane] arrays with the types of
+    `result`; what lies beyond the first `blocks` blocks is not computed. `interpret`: by XLA, on
+    any device.
+    """
+    leaves, tree = jax.tree.flatten(result)
+
+    def body(dt: Any, blocks: Any, *refs: Any) -> None:
+        columns, outs = refs[: len(refs) - len(leaves)], refs[len(refs) - len(leaves) :]
+
+        @pl.when(pl.program_id(0) < blocks[0])
+        def _() -> None:
+            found = run([column[...] for column in columns], dt[0])
+            for out, leaf in zip(outs, jax.tree.leaves(found), strict=True):
+                out[...] = leaf.astype(out.dtype)
+
+    def launch(columns: jax.Array, dt: jax.Array, blocks: jax.Array) -> Any:
+        n_fields, n_blocks, _ = columns.shape
+        one, block = pl.BlockSpec((1,), lambda i: (0,)), pl.BlockSpec((lanes,), lambda i: (i,))
+        found = pl.pallas_call(
+            body,
+            out_shape=[jax.ShapeDtypeStruct((n_blocks * lanes,), _kept(leaf)) for leaf in leaves],
+            grid=(n_blocks,),
+            in_specs=[one, one, *n_fields * [block]],
+            out_specs=len(leaves) * [block],
+            compiler_params=triton.CompilerParams(num_warps=lanes // WARP, num_stages=1),
+            interpret=interpret,
+            name="fic_sweep",
+        )(dt[None], blocks[None], *columns.reshape(n_fields, -1))
+        shaped = [
+            f.reshape(n_blocks, lanes).astype(t.dtype) for f, t in zip(found, leaves, strict=True)
+        ]
+        return jax.tree.unflatten(tree, shaped)
+
+    return launch
+
+
+def _kept(leaf: Any) -> Any:
+    """The type a leaf is written in: Triton has no memory of single bits."""
+    return jnp.dtype(jnp.int8) if leaf.dtype == jnp.dtype(bool) else leaf.dtype
