@@ -149,10 +149,12 @@ def test_one_device_equals_two():
     both = fic_jax.sweep(batch, dt=DT, n_steps=60)
     assert jax.local_device_count() == 2
     one = tuple(jax.local_devices()[:1])
-    program, sharding, _ = _compiled(Model(), 60, False, np.dtype(float), one)
+    program = _compiled(Model(), 60, False, np.dtype(float), one)
     leaves = [np.asarray(getattr(batch, name)) for name in fic_jax.QUANTITIES]
-    columns, blocks = fic_jax.engine._pack(leaves, slice(0, 1000), np.dtype(float), 1)
-    one = program(jax.device_put(columns, sharding), np.float64(DT), blocks)
+    columns, blocks = fic_jax.engine._pack(
+        leaves, slice(0, 1000), np.dtype(float), 1, program.blocks
+    )
+    one = program.run(jax.device_put(columns, program.sharding), np.float64(DT), blocks)
     assert_same(jax.tree.map(lambda a: np.asarray(a).reshape(-1)[:1000], one), both)
 
 
