@@ -52,9 +52,11 @@ class Writer:
     def commit(self, values: Values, row: Row) -> Row:
         """Write a block, then its row, with what is counted here; returns the row.
 
-        Raises OSError; the block is then as it was.
+        Raises OSError; the block is then not done.
         """
         files = {name: self._encode(row.block, name, values[name]) for name in self.store.variables}
+        # a row of a block done in part, or set aside, is about files that are now replaced
+        self.ledger.forget([row.block])
         durable.write({self.store.file(name, row.block): files[name] for name in files})
         _, ok, diverged, failed = np.bincount(values["status"], minlength=len(STATUS)).tolist()
         row = replace(
