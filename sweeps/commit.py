@@ -145,8 +145,9 @@ def changing(store: Store) -> Iterator[tuple[Writer, Owner]]:
             raise SweepError(f"{store.path}: its {name} is a link; a store is one folder")
     with owning(store.path) as owner:
         (store.path / ledgers.SEAL).unlink(missing_ok=True)
-        for left in store.path.glob(f"*/*{durable.PARTIAL}"):
-            left.unlink()
+        for pattern in (f"*{durable.PARTIAL}", f"*/*{durable.PARTIAL}"):
+            for left in store.path.glob(pattern):
+                left.unlink()
         durable.sync(store.path)
         try:
             yield writer, owner
