@@ -67,6 +67,7 @@ def verify(path: Path) -> Report:
     if not any(problem.what.endswith("zarr.json") for problem in problems):
         store = open_store(path)  # what its blocks are can't be told without
         problems += [problem for row in rows for problem in _wrong_block(store, row)]
+        problems += _lost(store, rows)
         problems += _extra(store, fixed)
     return Report(len(rows), len(fixed) + sum(len(row.files) for row in rows), tuple(problems))
 
@@ -146,6 +147,14 @@ def _wrong_block(store: Store, row: Row) -> Iterator[Problem]:
         file = store.file(name, row.block)
         if not intact(file, stamp):
             yield Problem(str(file.relative_to(store.path)), _how(file), row.block)
+
+
+def _lost(store: Store, rows: list[Row]) -> Iterator[Problem]:
+    """Blocks of a store that was finished and whose ledger lost them."""
+    if "end" in store.group.attrs:
+        there = {row.block for row in rows}
+        for index in sorted(set(range(store.grid.n_blocks)) - there):
+            yield Problem(ledgers.NAME, f"has no row of block {index}", index)
 
 
 def _extra(store: Store, fixed: list[Fixed]) -> Iterator[Problem]:
