@@ -4,7 +4,7 @@ import os
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -84,7 +84,12 @@ def building(partial: Path) -> Iterator[None]:
     What a killed process left there is removed first. Raises SweepError where another is at it.
     """
     partial.mkdir(parents=True, exist_ok=True)
-    with owning(partial):
+    with ExitStack() as held:
+        try:
+            held.enter_context(owning(partial))
+        except OSError:  # where another owned it, it would have been a SweepError
+            shutil.rmtree(partial, ignore_errors=True)
+            raise
         _clear(partial)
         try:
             yield

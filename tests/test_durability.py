@@ -3,6 +3,7 @@
 `make torture` runs all of it at length; CI takes a part (`many`).
 """
 
+import errno
 import json
 import os
 import shutil
@@ -20,6 +21,7 @@ import pytest
 from fic_jax import Metrics
 from sweeps import extend, layout, runner, verify
 from sweeps.commit import Writer
+from sweeps.durable import PARTIAL
 from sweeps.grid import Grid, cells_of
 from sweeps.ledger import DONE, NAME, PARTLY, SET_ASIDE, Stamp
 from sweeps.provenance import KEPT
@@ -288,3 +290,34 @@ def test_a_kill_at_any_call_loses_nothing(memory, stores, quick, deed, source, e
         settle(path, stores, source == "damaged")
         n += 1
     tell(f"{deed.__name__}: killed at {n - 1} of its calls")
+
+
+def broken_at(number):
+    """One call fails, as on a bad sector; the next one works."""
+    return lambda call: errno.EIO if call.number == number else None
+
+
+FILLING = {"write", "pwrite", "create", "mkdir", "commit", "fsync"}  # what needs room
+
+
+def full_from(number):
+    """The disk is full from a call on."""
+    return lambda call: errno.ENOSPC if call.number >= number >= 0 and call.name in FILLING else None
+
+
+@pytest.mark.parametrize("fault", [broken_at, full_from])
+@deeds
+def test_an_error_of_the_system_at_any_call_is_survived(
+    memory, stores, quick, deed, source, every, fault
+):
+    hints, n, raised = set(), 0, 0
+    for path, call, failed, told in spoilt(memory, stores, deed, source, every, fault):
+        n, raised = n + 1, raised + bool(failed)
+        if call and not failed and fault is broken_at:
+            hints.add((call.name, os.path.relpath(call.path, path.parent)))
+        if call and call.name not in ("unlink", "rmdir"):
+            assert not list(path.parent.rglob(f"*{PARTIAL}")), call
+        if path.exists() and source != "damaged":
+            sound(path, stores, told.cells, AGAIN if deed is again else ())
+        settle(path, stores, source == "damaged")
+    tell(f"{deed.__name__}: {n - 1} calls failed by {fault.__name__}, {raised} ended it, {hints}")
