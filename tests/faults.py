@@ -75,7 +75,10 @@ class Calls:
             return self._paths.get(args[0])
         base = self._paths.get(kwargs.get("dir_fd"), "")
         path = os.path.abspath(os.path.join(base, os.fspath(args[0])))
-        return path if path.startswith(self.folder + os.sep) else None
+        return path if self._in(path) else None
+
+    def _in(self, path: str) -> bool:
+        return path == self.folder or path.startswith(self.folder + os.sep)
 
     def _call(self, name, real, *args, **kwargs):
         where = self._where(name, args, kwargs)
@@ -127,7 +130,7 @@ class Calls:
     def _opened(self, file, mode="r", *args, **kwargs):
         if set(mode) & set("wax+") and isinstance(file, str | Path):
             where = os.path.abspath(file)
-            if where.startswith(self.folder + os.sep):
+            if self._in(where):
                 with self._lock:
                     self._step("create", where)
         return self._open(file, mode, *args, **kwargs)
@@ -144,7 +147,7 @@ class Calls:
                         calls.after(call)
                     return left
 
-        if where.startswith(self.folder + os.sep):
+        if self._in(where):
             with self._lock:
                 self._step("connect", where)
         return self._connect(address, factory=Connection, **kwargs)
@@ -191,28 +194,41 @@ class Disk:
             self.changes.setdefault(inode, []).append(change)
         self.seen[inode] = now
 
-    def leave(self, target: Path, survives: Callable[[], bool]) -> None:
-        """Build the disk after a power cut now; `survives` is asked for each unflushed effect."""
-        live = {os.lstat(p).st_ino: p for p in (self.folder, *self.folder.rglob("*"))}
-        self._put(os.lstat(self.folder).st_ino, target, survives, live)
+    def left(self, survives: Callable[[], bool]) -> dict[str, bytes | None]:
+        """What is there after a power cut now, files with their contents and folders.
 
-    def _put(self, inode: int, place: Path, survives: Callable[[], bool], live: dict) -> None:
+        `survives` is asked for each effect that is not flushed.
+        """
+        live = {os.lstat(p).st_ino: p for p in (self.folder, *self.folder.rglob("*"))}
+        return dict(self._below(os.lstat(self.folder).st_ino, "", survives, live))
+
+    def _below(self, inode: int, place: str, survives: Callable[[], bool], live: dict):
         now = live.get(inode)
         if inode in self.names or inode in self.seen or (now and now.is_dir()):
-            place.mkdir()
+            yield place, None
             names: dict[str, int | None] = dict(self.names.get(inode, {}))
             for change in self.changes.get(inode, []):
                 if survives():
                     names |= change
             for name, one in names.items():
                 if one is not None:
-                    self._put(one, place / name, survives, live)
+                    yield from self._below(one, f"{place}/{name}", survives, live)
             return
         content = self.contents.get(inode, b"")
-        if now and now.read_bytes() != content and survives():
-            whole = now.read_bytes()
+        whole = now.read_bytes() if now else content
+        if whole != content and survives():
             content = whole if survives() else whole[: len(whole) // 2]
-        place.write_bytes(content)
+        yield place, content
+
+
+def build(left: dict[str, bytes | None], target: Path) -> None:
+    """Make the files that a power cut left."""
+    for place, content in left.items():
+        path = Path(f"{target}{place}")
+        if content is None:
+            path.mkdir()
+        else:
+            path.write_bytes(content)
 
 
 def _listing(folder: Path) -> dict[str, int]:
