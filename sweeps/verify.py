@@ -86,6 +86,9 @@ def mend_frame(path: Path) -> None:
             _restore(path, "zarr.json", root)
         fresh = Path(folder) / "fresh"
         _lay_out_again(path, fresh)
+        for part in {(path / one.path).parent for one in Ledger(fresh / ledgers.NAME).fixed()}:
+            if part != path and (part.is_symlink() or part.is_file()):
+                part.unlink()  # nothing is written through a link
         for one in Ledger(fresh / ledgers.NAME).fixed():
             if one.path != "zarr.json" and not intact(path / one.path, one.stamp):
                 _restore(path, one.path, (fresh / one.path).read_bytes())
@@ -95,8 +98,10 @@ def mend_frame(path: Path) -> None:
             again = Ledger(fresh / ledgers.NAME)
             again.fix([("zarr.json", (path / "zarr.json").read_bytes())])
             again.add(rows)
-            durable.write({ledger.path: again.path.read_bytes()})
+            # first: a journal of the old ledger would be played back into the new one
             ledger.path.with_name(f"{ledgers.NAME}-journal").unlink(missing_ok=True)
+            _restore(path, ledgers.NAME, again.path.read_bytes())
+        _free(path / ledgers.SEAL)
         seal(ledger)
 
 
@@ -106,6 +111,9 @@ def recompute(store: Store, blocks: list[int], tell: Tell) -> tuple[Progress, li
     before = {row.block: row.files for row in store.rows() if row.block in set(blocks)}
     with changing(store) as (writer, _):
         writer.ledger.forget(blocks)
+        for block in blocks:
+            for name in store.variables:
+                _free(store.file(name, block))
     progress = run(store, tell, blocks)
     after = {row.block: row.files for row in store.rows()}
     return progress, [b for b, files in before.items() if b in after and after[b] != files]
@@ -167,7 +175,9 @@ def _extra(store: Store, fixed: list[Fixed]) -> Iterator[Problem]:
         name = file.relative_to(store.path)
         whole = file.with_name(file.name.removesuffix(durable.PARTIAL)).relative_to(store.path)
         ours = len(name.parts) == 2 and name.parts[0] in store.variables and whole.name in blocks
-        if not (whole.as_posix() in known or ours) or file.is_symlink():
+        if file.is_symlink() and name.as_posix() in known:
+            yield Problem(name.as_posix(), "is a link")
+        elif not (whole.as_posix() in known or ours) or file.is_symlink():
             yield Problem(name.as_posix(), "is not part of the store", foreign=True)
 
 
@@ -185,7 +195,14 @@ def _lay_out_again(path: Path, fresh: Path) -> None:
 def _restore(path: Path, name: str, content: bytes) -> None:
     """Put a file back; what stands in its place goes."""
     place = path / name
-    if place.is_symlink() or place.is_dir():
-        place.unlink() if place.is_symlink() else shutil.rmtree(place)
+    _free(place)
     place.parent.mkdir(exist_ok=True)
     durable.write({place: content})
+
+
+def _free(place: Path) -> None:
+    """Take away a link or a folder where a file belongs."""
+    if place.is_symlink():
+        place.unlink()
+    elif place.is_dir():
+        shutil.rmtree(place)
