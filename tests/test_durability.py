@@ -12,6 +12,7 @@ import shutil
 import sqlite3
 import sys
 import tempfile
+from collections import Counter
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import fields
@@ -25,7 +26,8 @@ from sweeps import extend, layout, runner, verify
 from sweeps.commit import Writer
 from sweeps.durable import PARTIAL
 from sweeps.grid import Grid, cells_of
-from sweeps.ledger import DONE, NAME, PARTLY, SET_ASIDE, Stamp
+from sweeps.ledger import DONE, NAME, PARTLY, SEAL, SET_ASIDE, Stamp
+from sweeps.owner import NAME as LOCK
 from sweeps.provenance import KEPT
 from sweeps.spec import SweepError
 from sweeps.store import Tally, open_store
@@ -411,3 +413,101 @@ def test_a_power_cut_after_any_call_loses_nothing(
             if not i % many(every, 1):
                 settle(store, stores, source == "damaged")
     tell(f"{deed.__name__}: {cuts} power cuts, {len(disks)} different disks")
+
+
+def flipped(file, chance):
+    flip(file, chance.randrange(8 * file.stat().st_size))
+
+
+def cut_off(file, chance):
+    file.write_bytes(file.read_bytes()[: chance.randrange(file.stat().st_size)])
+
+
+def deleted(file, _):
+    file.unlink()
+
+
+def folder_instead(file, _):
+    file.unlink()
+    file.mkdir()
+    (file / "c.0").write_bytes(b"something")
+
+
+def linked(file, _):
+    """To its own contents, elsewhere."""
+    file.rename(file.parent.parent.parent / "elsewhere")
+    file.symlink_to(file.parent.parent.parent / "elsewhere")
+
+
+def swapped(file, chance):
+    """With another file of the same folder, if there is one."""
+    others = [other for other in file.parent.iterdir() if other.read_bytes() != file.read_bytes()]
+    if others:
+        other = chance.choice(others)
+        one, two = file.read_bytes(), other.read_bytes()
+        file.write_bytes(two)
+        other.write_bytes(one)
+
+
+def repaired(path):
+    """What `fic-sweep verify --repair` does, having found something."""
+    report = verify.verify(path)
+    assert report.problems
+    if report.frame:
+        verify.mend_frame(path)
+        report = verify.verify(path)
+    if report.bad_blocks:
+        _, other = verify.recompute(open_store(path), report.bad_blocks, lambda p: None)
+        assert not other
+    return report
+
+
+WAYS = [(flipped, 34, 1000), (cut_off, 34, 1000), (deleted, 16, 100), (folder_instead, 17, 100)]
+WAYS += [(linked, 17, 100), (swapped, 14, 100)]
+
+
+@pytest.mark.parametrize(("way", "ci", "torture"), WAYS)
+def test_damage_is_found_and_repaired_to_the_same_bits(memory, stores, quick, way, ci, torture):
+    chance, hit = random.Random(2), Counter()
+    whole = stores.folder / "whole"
+    files = [p.relative_to(whole) for p in sorted(whole.rglob("*")) if p.is_file()]
+    files.remove(Path(LOCK))
+    if way in (deleted, swapped):
+        files.remove(Path(SEAL))  # a store may be without: a run was killed
+    if way is swapped:
+        files = [file for file in files if len(file.parts) == 2]
+    for i in range(many(ci, torture)):
+        with case(memory, whole) as path:
+            name = files[i % len(files)]
+            way(path / name, chance)
+            hit[str(name)] += 1
+            repaired(path)
+            assert not verify.verify(path).problems, name
+            assert contents(path) == stores.expected[5], name
+            assert len(open_store(path).rows()) == 3
+    assert len(hit) == len(files)
+    tell(f"{sum(hit.values())} files {way.__name__}: all found, all repaired to the same bits")
+
+
+def test_a_repair_writes_nothing_through_a_link(memory, stores, quick):
+    with case(memory, stores.folder / "whole") as path:
+        elsewhere = path.parent / "elsewhere"
+        (path / "nmse").rename(elsewhere)
+        (path / "nmse").symlink_to(elsewhere)
+        assert [p.what for p in verify.verify(path).frame] == ["nmse"]
+        (elsewhere / "zarr.json").write_text("precious")
+        repaired(path)
+        assert (elsewhere / "zarr.json").read_text() == "precious"
+        assert not verify.verify(path).problems
+        assert contents(path) == stores.expected[5]
+
+
+@pytest.mark.parametrize("name", ["mine.txt", "nmse/c.3", "nmse/c.0.bak", "more/mine.txt"])
+def test_what_is_no_part_of_a_store_is_found_and_left(memory, stores, quick, name):
+    with case(memory, stores.folder / "whole") as path:
+        (path / name).parent.mkdir(exist_ok=True)
+        (path / name).write_text("precious")
+        (problem,) = [p for p in verify.verify(path).problems if p.what == name]
+        assert problem.foreign
+        repaired(path)
+        assert (path / name).read_text() == "precious"
