@@ -157,11 +157,11 @@ def verify(
         print("\n".join(verification(path, report)), flush=True)
         return report
 
-    report, lost = look(), list[int]()
+    report = look()
     if repair and report.frame:
-        lost = check.mend_frame(path)
+        check.mend_frame(path)
         report = look()
-    blocks = sorted({*lost, *report.bad_blocks})
+    blocks = report.bad_blocks
     if repair and blocks:
         print(f"{path}: computing {many(len(blocks), 'block')} again", flush=True)
         asked, store = _stop_between_blocks(), _reopened(path)

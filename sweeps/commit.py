@@ -55,6 +55,8 @@ class Writer:
         Raises OSError; the block then has no row.
         """
         files = {name: self._encode(row.block, name, values[name]) for name in self.store.variables}
+        # a row of a block done in part, or set aside, is about files that are now replaced
+        self.ledger.forget([row.block])
         durable.write({self.store.file(name, row.block): files[name] for name in files})
         _, ok, diverged, failed = np.bincount(values["status"], minlength=len(STATUS)).tolist()
         row = replace(
@@ -143,8 +145,9 @@ def changing(store: Store) -> Iterator[tuple[Writer, Owner]]:
             raise SweepError(f"{store.path}: its {name} is a link; a store is one folder")
     with owning(store.path) as owner:
         (store.path / ledgers.SEAL).unlink(missing_ok=True)
-        for left in store.path.glob(f"*/*{durable.PARTIAL}"):
-            left.unlink()
+        for pattern in (f"*{durable.PARTIAL}", f"*/*{durable.PARTIAL}"):
+            for left in store.path.glob(pattern):
+                left.unlink()
         durable.sync(store.path)
         try:
             yield writer, owner

@@ -4,7 +4,7 @@ import os
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -48,11 +48,14 @@ def create(path: Path, grid: Grid, attributes: Mapping[str, Any]) -> Store:
     """Make an empty store, whole or not at all. Raises SweepError if it can't be."""
     refuse_existing(path)
     refuse_small_disk(path, grid, attributes["dtype"])
-    partial = path.with_name(f".{path.name}{PARTIAL}")
+    partial, there = path.with_name(f".{path.name}{PARTIAL}"), _existing_parent(path)
     try:
         with building(partial):
             lay_out(partial, grid, attributes)
             put_in_place(partial, path)
+        for folder in path.absolute().parents:  # those made for it must be on the disk as well
+            if folder.is_relative_to(there) and folder != path.absolute().parent:
+                sync(folder)
     except OSError as error:
         raise SweepError(f"{path}: can't be written: {error.strerror or error}") from None
     return open_store(path)
@@ -84,7 +87,12 @@ def building(partial: Path) -> Iterator[None]:
     What a killed process left there is removed first. Raises SweepError where another is at it.
     """
     partial.mkdir(parents=True, exist_ok=True)
-    with owning(partial):
+    with ExitStack() as held:
+        try:
+            held.enter_context(owning(partial))
+        except OSError:  # where another owned it, it would have been a SweepError
+            shutil.rmtree(partial, ignore_errors=True)
+            raise
         _clear(partial)
         try:
             yield

@@ -138,8 +138,6 @@ def _committed(
     queue = deque((index, 1) for index in pending)
 
     def commit(values: Values, row: Row) -> tuple[Row, float]:
-        if row.block in begun:  # its row is about files that are going to be replaced
-            writer.ledger.forget([row.block])
         return writer.commit(values, row), time.perf_counter()
 
     with ThreadPoolExecutor(1) as pool:

@@ -1,5 +1,6 @@
 """Whether a store is as it was written, file by file, and making it so again."""
 
+import json
 import re
 import shutil
 import tempfile
@@ -66,17 +67,18 @@ def verify(path: Path) -> Report:
         return Report(None, len(fixed), tuple(problems))
     store = open_store(path)
     problems += [problem for row in rows for problem in _wrong_block(store, row)]
+    problems += _lost(store, rows)
     if whole:
         problems += _extra(store, fixed)
     n_files = len(fixed) + sum(len(row.files) for row in rows)
     return Report(len(rows), n_files, tuple(problems), store.grid.n_blocks)
 
 
-def mend_frame(path: Path) -> list[int]:
+def mend_frame(path: Path) -> None:
     """Bring back what the blocks hang in: the ledger, the metadata, the coordinates.
 
-    Rows that a damaged ledger still has whole are kept; returns the blocks whose rows are lost
-    and are to be computed again. Raises SweepError where too much is lost, OSError.
+    Rows that a damaged ledger still has whole are kept; blocks whose rows are lost are to be
+    computed again. Raises SweepError where too much is lost, OSError.
     """
     ledger = _ledger_of(path)
     with owner.owning(path), tempfile.TemporaryDirectory() as folder:
@@ -86,21 +88,21 @@ def mend_frame(path: Path) -> list[int]:
             _restore(path, "zarr.json", root)
         fresh = Path(folder) / "fresh"
         _lay_out_again(path, fresh)
+        for part in {(path / one.path).parent for one in Ledger(fresh / ledgers.NAME).fixed()}:
+            if part != path and (part.is_symlink() or part.is_file()):
+                part.unlink()  # nothing is written through a link
         for one in Ledger(fresh / ledgers.NAME).fixed():
             if one.path != "zarr.json" and not intact(path / one.path, one.stamp):
                 _restore(path, one.path, (fresh / one.path).read_bytes())
-        store, lost = open_store(path), []
         if any(_wrong_ledger(ledger)):
             again = Ledger(fresh / ledgers.NAME)
             again.fix([("zarr.json", (path / "zarr.json").read_bytes())])
             again.add(rows)
-            durable.write({ledger.path: again.path.read_bytes()})
+            # first: a journal of the old ledger would be played back into the new one
             ledger.path.with_name(f"{ledgers.NAME}-journal").unlink(missing_ok=True)
-            known = {row.block for row in rows}
-            written = (i for i in range(store.grid.n_blocks) if store.file("status", i).exists())
-            lost = [index for index in written if index not in known]
+            _restore(path, ledgers.NAME, again.path.read_bytes())
+        _free(path / ledgers.SEAL)
         seal(ledger)
-    return lost
 
 
 def recompute(store: Store, blocks: list[int], tell: Tell) -> list[int]:
@@ -109,6 +111,9 @@ def recompute(store: Store, blocks: list[int], tell: Tell) -> list[int]:
     before = {row.block: row.files for row in store.rows() if row.block in set(blocks)}
     with changing(store) as (writer, _):
         writer.ledger.forget(blocks)
+        for block in blocks:
+            for name in store.variables:
+                _free(store.file(name, block))
     run(store, tell, blocks)
     after = {row.block: row.files for row in store.rows()}
     return [b for b, files in before.items() if b in after and after[b] != files]
@@ -137,8 +142,19 @@ def _wrong_ledger(ledger: Ledger) -> Iterator[Problem]:
 def _wrong_fixed(path: Path, one: Fixed) -> Iterator[Problem]:
     if not FIXED.fullmatch(one.path):
         yield Problem(ledgers.NAME, f"is damaged: it names a file {one.path!r}")
-    elif not intact(path / one.path, one.stamp):
+    elif not intact(path / one.path, one.stamp) and not _not_ended(path / one.path, one):
         yield Problem(one.path, _how(path / one.path))
+
+
+def _not_ended(file: Path, one: Fixed) -> bool:
+    """Whether a record lacks its end only, which the ledger gets first: a kill came between."""
+    if one.path != "zarr.json" or one.content is None or file.is_symlink():
+        return False
+    try:
+        told, meant = json.loads(file.read_bytes()), json.loads(one.content)
+        return bool(meant["attributes"].pop("end")) and told == meant
+    except (OSError, ValueError, KeyError):
+        return False
 
 
 def _wrong_block(store: Store, row: Row) -> Iterator[Problem]:
@@ -151,6 +167,14 @@ def _wrong_block(store: Store, row: Row) -> Iterator[Problem]:
             yield Problem(str(file.relative_to(store.path)), _how(file), row.block)
 
 
+def _lost(store: Store, rows: list[Row]) -> Iterator[Problem]:
+    """Blocks of a store that was finished and whose ledger lost them."""
+    if "end" in store.group.attrs:
+        there = {row.block for row in rows}
+        for index in sorted(set(range(store.grid.n_blocks)) - there):
+            yield Problem(ledgers.NAME, f"has no row of block {index}", index)
+
+
 def _extra(store: Store, fixed: list[Fixed]) -> Iterator[Problem]:
     """Whatever is not part of the store. A block without a row is: it was under way."""
     known = {one.path for one in fixed} | OWN
@@ -159,9 +183,11 @@ def _extra(store: Store, fixed: list[Fixed]) -> Iterator[Problem]:
     blocks = {store.file("status", index).name for index in range(n)}
     for file in sorted(store.path.glob("**/*")):
         name = file.relative_to(store.path)
-        chunk = name.name.removesuffix(durable.PARTIAL)
-        ours = len(name.parts) == 2 and name.parts[0] in store.variables and chunk in blocks
-        if not (name.as_posix() in known or ours) or file.is_symlink():
+        whole = file.with_name(file.name.removesuffix(durable.PARTIAL)).relative_to(store.path)
+        ours = len(name.parts) == 2 and name.parts[0] in store.variables and whole.name in blocks
+        if file.is_symlink() and name.as_posix() in known:
+            yield Problem(name.as_posix(), "is a link")
+        elif not (whole.as_posix() in known or ours) or file.is_symlink():
             yield Problem(name.as_posix(), "is not part of the store", foreign=True)
 
 
@@ -179,7 +205,14 @@ def _lay_out_again(path: Path, fresh: Path) -> None:
 def _restore(path: Path, name: str, content: bytes) -> None:
     """Put a file back; what stands in its place goes."""
     place = path / name
-    if place.is_symlink() or place.is_dir():
-        place.unlink() if place.is_symlink() else shutil.rmtree(place)
+    _free(place)
     place.parent.mkdir(exist_ok=True)
     durable.write({place: content})
+
+
+def _free(place: Path) -> None:
+    """Take away a link or a folder where a file belongs."""
+    if place.is_symlink():
+        place.unlink()
+    elif place.is_dir():
+        shutil.rmtree(place)
