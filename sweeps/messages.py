@@ -41,7 +41,7 @@ def expectation(grid: Grid, compiling: float, rate: float) -> str:
 def status_lines(store: Store) -> list[str]:
     """How far a store is and what made it."""
     tally, attrs, grid = Tally.of(store), store.group.attrs.asdict(), store.grid
-    done = grid.cells - tally.cells["not run"]
+    done = tally.done
     return [
         f"{store.path}: {grid.sweep.name}, {_dims(grid)}",
         f"done      {done:,} of {grid.cells:,} cells ({_share(done, grid.cells)})",
@@ -170,8 +170,7 @@ def _reason(error: BaseException) -> str:
 def _trusted(store: Store, tally: Tally) -> Iterator[str]:
     """How many of the cells done are trusted, where the store can tell."""
     if store.grid.sweep.error_estimate:
-        done = store.grid.cells - tally.cells["not run"]
-        share = f"{tally.trusted:,} of {done:,} cells ({_share(tally.trusted, done)})"
+        share = f"{tally.trusted:,} of {tally.done:,} cells ({_share(tally.trusted, tally.done)})"
         bound = float(str(store.group.attrs["trust_bound"]))
         yield f"{share}, nmse known to {100 * bound:g} %"
 

@@ -123,6 +123,11 @@ class Tally:
     set_aside: list[Row]
     begun: dict[int, Row]  # pending blocks of which the ledger knows something
 
+    @property
+    def done(self) -> int:
+        """Cells that were computed; a failed one was not."""
+        return self.cells["ok"] + self.cells["diverged"]
+
     @classmethod
     def of(cls, store: Store) -> "Tally":
         """Count the ledger of a store. Raises SweepError if it is damaged."""
