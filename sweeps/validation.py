@@ -156,6 +156,8 @@ def _explain(error: Any) -> str:
     elif kind in ("too_short", "too_long") and context.get("actual_length"):
         least = context.get("min_length", context.get("max_length"))
         wanted = f"{'at least' if kind == 'too_short' else 'at most'} {least} values long"
+    elif kind == "string_too_long":
+        wanted = f"at most {context['max_length']:,} letters long"
     elif wanted is None:
         wanted = re.sub(r"^Input should be ", "", error["msg"])
     if kind == "missing":

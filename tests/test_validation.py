@@ -38,6 +38,7 @@ WRONG = {
     GOOD + "[cases]\nx0 = [0.1, 0.3]\nxb = [0.2, 0.25]": "`xb` must be greater than x0 = 0.3",
     GOOD
     + "period = [0.015]": "`axes.period` must be a whole multiple of dt = 0.01 s (nearest: 0.02)",
+    GOOD + "period = [1e308]": "`axes.period` must be at most 2,147,483,647 steps of dt, but is 1e",
     GOOD + "[time]\ndt = 0.3": "`time.t_end` must be a whole multiple of dt = 0.3 s (nearest: 9.9)",
     GOOD + "[time]\ndt = -1": "`time.dt` must be greater than 0, but is -1.",
     GOOD + "K0 = [1.0, 2.0]": "not valid TOML: a key is given twice",
