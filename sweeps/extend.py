@@ -15,7 +15,7 @@ from sweeps.commit import Values, Writer, changing, no_values, now
 from sweeps.durable import PARTIAL
 from sweeps.grid import Grid, shape_of
 from sweeps.layout import building, lay_out, refuse_small_disk
-from sweeps.ledger import DONE, PARTLY, Row
+from sweeps.ledger import DONE, PARTLY, Row, intact
 from sweeps.provenance import KEPT
 from sweeps.spec import Sweep, SweepError
 from sweeps.store import DIVERGED, OK, Store, open_store
@@ -38,6 +38,7 @@ def extend(store: Store, plan: Sweep, source: str) -> Store:
     refuse_small_disk(path, grid, store.dtype)
     attributes = {key: store.group.attrs[key] for key in KEPT} | {"extended": now()}
     with changing(store), building(partial):
+        _check_blocks(store)
         lay_out(partial, grid, attributes)
         writer = Writer(open_store(partial))
         for values, row in _carried(store, grid):
@@ -48,6 +49,14 @@ def extend(store: Store, plan: Sweep, source: str) -> Store:
         durable.sync(path.parent)
     shutil.rmtree(_away(path), ignore_errors=True)
     return open_store(path)
+
+
+def _check_blocks(store: Store) -> None:
+    """Raise SweepError where a number would be carried over that nobody computed."""
+    for row in store.rows():
+        for name, stamp in row.files.items():
+            if not intact(store.file(name, row.block), stamp):
+                raise store.damaged(f"block {row.block} is not as it was written")
 
 
 def recover(path: Path) -> None:

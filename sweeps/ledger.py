@@ -42,6 +42,13 @@ class Stamp:
         return cls(len(content), hashlib.sha256(content).hexdigest())
 
 
+def intact(path: Path, stamp: Stamp) -> bool:
+    """Whether a file contains what the ledger says."""
+    if path.is_symlink() or not path.is_file() or path.stat().st_size != stamp.size:
+        return False
+    return Stamp.of(path.read_bytes()) == stamp
+
+
 @dataclass(frozen=True)
 class Row:
     """A block in the ledger."""

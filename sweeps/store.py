@@ -19,7 +19,7 @@ import zarr
 
 from sweeps import ledger as ledgers
 from sweeps.grid import Grid
-from sweeps.ledger import DONE, SET_ASIDE, Ledger, LedgerError, Row
+from sweeps.ledger import DONE, SET_ASIDE, Fixed, Ledger, LedgerError, Row, intact
 from sweeps.spec import STORED, Sweep, SweepError
 from sweeps.validation import validate
 
@@ -89,6 +89,26 @@ class Store:
             first = missing[0].relative_to(self.path)
             more = f" and {len(missing) - 1:,} more files" if len(missing) > 1 else ""
             raise self.damaged(f"lacks {first}{more}, of finished blocks")
+
+    def check_frame(self) -> None:
+        """Raise SweepError where metadata or coordinates are not as they were written."""
+        if self.ledger is None:
+            return
+        try:
+            fixed = list(self.ledger.fixed())
+        except LedgerError as error:
+            raise self.damaged(f"{ledgers.NAME}: {error}") from None
+        for one in fixed:
+            if not (intact(self.path / one.path, one.stamp) or self._lacks_its_end(one)):
+                raise self.damaged(f"{one.path} is not as it was written")
+
+    def _lacks_its_end(self, one: Fixed) -> bool:
+        """Whether a kill came between the two notes of when the store was finished."""
+        if one.path != "zarr.json" or one.content is None:
+            return False
+        noted = json.loads(one.content)
+        noted["attributes"].pop("end", None)
+        return bool(noted == json.loads((self.path / one.path).read_bytes()))
 
     def array(self, name: str) -> zarr.Array[Any]:
         """A variable on disk."""
@@ -220,5 +240,6 @@ def dataset(path: Path) -> "xr.Dataset":
     import xarray as xr  # half a second with pandas, and a run needs neither
 
     store = open_store(path)  # tells a foreign one
+    store.check_frame()
     store.refuse_missing()
     return xr.open_zarr(path, chunks=None)[store.variables]

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from sweeps import durable, owner
 from sweeps import ledger as ledgers
-from sweeps.commit import changing, intact, seal
+from sweeps.commit import changing, seal
 from sweeps.layout import lay_out
-from sweeps.ledger import Fixed, Ledger, LedgerError, Row
+from sweeps.ledger import Fixed, Ledger, LedgerError, Row, intact
 from sweeps.provenance import KEPT
 from sweeps.runner import Tell, run
 from sweeps.spec import SweepError
