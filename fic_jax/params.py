@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+MAX_TICKS = 2**31 - 1  # plant steps of a control period are counted in int32
 Scalar: TypeAlias = Any  # a float, a 0-d array or a tracer; physics is written for one scenario
 
 
@@ -145,7 +146,10 @@ def check_field(name: str, values: Any, dt: float | None = None) -> None:
     if bad.any():
         raise ParamsError(name, f"{a[bad][0]:g}", wanted)
     if name == "period" and dt is not None:
-        ticks = a / dt
+        with np.errstate(over="ignore"):
+            ticks = a / dt
+        if (ticks > MAX_TICKS).any():
+            raise ParamsError(name, f"{a.max():g}", f"at most {MAX_TICKS:,} steps of dt")
         bad = (np.abs(ticks - np.round(ticks)) > 1e-6 * ticks) | (ticks < 0.5)
         if bad.any():
             near = max(round(ticks[bad][0]), 1) * dt

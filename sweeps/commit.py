@@ -11,7 +11,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from fic_jax import Metrics, trusted
 from sweeps import durable, layout
 from sweeps import ledger as ledgers
 from sweeps.grid import Grid, cells_of, shape_of
-from sweeps.ledger import Ledger, Row, Stamp
+from sweeps.ledger import Ledger, Row, Stamp, intact
 from sweeps.owner import Owner, owning
 from sweeps.spec import SweepError
 from sweeps.store import (
@@ -129,13 +128,6 @@ def kept(store: Store, row: Row) -> Values | None:
     return values | stored
 
 
-def intact(path: Path, stamp: Stamp) -> bool:
-    """Whether a file contains what the ledger says."""
-    if path.is_symlink() or not path.is_file() or path.stat().st_size != stamp.size:
-        return False
-    return Stamp.of(path.read_bytes()) == stamp
-
-
 @contextmanager
 def changing(store: Store) -> Iterator[tuple[Writer, Owner]]:
     """Own a store and clear away what a killed process left. Raises SweepError, OSError."""
@@ -144,6 +136,7 @@ def changing(store: Store) -> Iterator[tuple[Writer, Owner]]:
         if (store.path / name).is_symlink():  # somebody else's store could write elsewhere
             raise SweepError(f"{store.path}: its {name} is a link; a store is one folder")
     with owning(store.path) as owner:
+        store.check_frame()
         (store.path / ledgers.SEAL).unlink(missing_ok=True)
         for pattern in (f"*{durable.PARTIAL}", f"*/*{durable.PARTIAL}"):
             for left in store.path.glob(pattern):

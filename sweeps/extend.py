@@ -14,8 +14,8 @@ from sweeps import durable
 from sweeps.commit import Values, Writer, changing, no_values, now
 from sweeps.durable import PARTIAL
 from sweeps.grid import Grid, shape_of
-from sweeps.layout import building, lay_out, refuse_small_disk
-from sweeps.ledger import DONE, PARTLY, Row
+from sweeps.layout import away, building, lay_out, refuse_small_disk
+from sweeps.ledger import DONE, PARTLY, Row, intact
 from sweeps.provenance import KEPT
 from sweeps.spec import Sweep, SweepError
 from sweeps.store import DIVERGED, OK, Store, open_store
@@ -38,32 +38,36 @@ def extend(store: Store, plan: Sweep, source: str) -> Store:
     refuse_small_disk(path, grid, store.dtype)
     attributes = {key: store.group.attrs[key] for key in KEPT} | {"extended": now()}
     with changing(store), building(partial):
+        _check_blocks(store)
         lay_out(partial, grid, attributes)
         writer = Writer(open_store(partial))
         for values, row in _carried(store, grid):
             writer.commit(values, row)
         durable.sync_tree(partial)
-        path.rename(_away(path))
+        path.rename(away(path))
         partial.rename(path)
         durable.sync(path.parent)
-    shutil.rmtree(_away(path), ignore_errors=True)
+    shutil.rmtree(away(path), ignore_errors=True)
     return open_store(path)
+
+
+def _check_blocks(store: Store) -> None:
+    """Raise SweepError where a number would be carried over that nobody computed."""
+    for row in store.rows():
+        for name, stamp in row.files.items():
+            if not intact(store.file(name, row.block), stamp):
+                raise store.damaged(f"block {row.block} is not as it was written")
 
 
 def recover(path: Path) -> None:
     """Finish or undo what a kill left of an extension: one store, whole, under its name."""
-    away = _away(path)
-    if not away.is_dir() or away.is_symlink():
+    before = away(path)
+    if not before.is_dir() or before.is_symlink():
         return
-    if os.path.lexists(path):
-        shutil.rmtree(away)
-    else:
-        away.rename(path)
-
-
-def _away(path: Path) -> Path:
-    """Where a store waits until the larger one has its place."""
-    return path.with_name(f".{path.name}.before")
+    if os.path.isfile(path / "zarr.json"):
+        shutil.rmtree(before)
+    elif not os.path.lexists(path):
+        before.rename(path)
 
 
 def _differences(old: Sweep, new: Sweep) -> Iterator[str]:

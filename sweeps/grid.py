@@ -10,12 +10,14 @@ import numpy as np
 
 from fic_jax import QUANTITIES, Model, Params
 from sweeps.design import draw
-from sweeps.spec import Sweep
+from sweeps.spec import Sweep, SweepError
 
 # A block is the unit of work, of storage and of what an interruption costs: a second or two, unless
 # a scenario is so long that the smallest block takes more.
 BLOCK_STEPS = 300_000_000
 SMALLEST_BLOCK, LARGEST_BLOCK = 4_096, 1_000_000
+MAX_BLOCKS = 1_000_000  # of a sweep: files in one folder, rows of a ledger that is read whole
+MAX_BLOCK = 10_000_000  # cells of a block: it is held in memory, 1 GB with all metrics and errors
 ESTIMATE_COST = 6  # times the work of a scenario: two runs, one of smaller steps with events
 
 Block = tuple[slice, ...]
@@ -31,18 +33,20 @@ class Grid:
     sweep: Sweep
     chunk: int | None = None  # cells of a block; chosen from the number of steps if None
 
+    def __post_init__(self) -> None:
+        """Refuse what no ledger or no memory holds. Raises SweepError."""
+        for what, n, most in (
+            ("blocks", self.n_blocks, MAX_BLOCKS),
+            ("cells in a block", math.prod(self.block_shape), MAX_BLOCK),
+        ):
+            if n > most:
+                wanted = f"a number of cells that makes at most {most:,} {what}"
+                raise SweepError(f"{self.sweep.name}: `--chunk` must be {wanted}, not {n:,}")
+
     @cached_property
     def dims(self) -> dict[str, int]:
         """Name and length of each dimension."""
-        sweep = self.sweep
-        dims = {name: len(c) for name, c in sweep.model.items() if isinstance(c, list)}
-        for name, axis in sweep.axes.items():
-            dims[name] = len(axis) if isinstance(axis, list) else axis.n
-        if sweep.cases:
-            dims["case"] = len(next(iter(sweep.cases.values())))
-        if sweep.sample:
-            dims["scenario"] = sweep.sample.n
-        return dims
+        return dims_of(self.sweep)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -57,7 +61,8 @@ class Grid:
         """Cells that a block may have."""
         if self.chunk:
             return self.chunk
-        return min(max(BLOCK_STEPS // self.work, SMALLEST_BLOCK), LARGEST_BLOCK)
+        chosen = min(max(BLOCK_STEPS // self.work, SMALLEST_BLOCK), LARGEST_BLOCK)
+        return max(chosen, 4 * self.cells // MAX_BLOCKS)  # halving makes them up to 4 times smaller
 
     @property
     def work(self) -> int:
@@ -130,6 +135,18 @@ class Grid:
         if dim == "scenario" and sweep.sample:
             return draw(sweep.sample, start, stop)
         return {dim: np.array(sweep.model[dim])[start:stop]}
+
+
+def dims_of(sweep: Sweep) -> dict[str, int]:
+    """Name and length of each dimension of a sweep."""
+    dims = {name: len(c) for name, c in sweep.model.items() if isinstance(c, list)}
+    for name, axis in sweep.axes.items():
+        dims[name] = len(axis) if isinstance(axis, list) else axis.n
+    if sweep.cases:
+        dims["case"] = len(next(iter(sweep.cases.values())))
+    if sweep.sample:
+        dims["scenario"] = sweep.sample.n
+    return dims
 
 
 def shape_of(block: Block) -> tuple[int, ...]:

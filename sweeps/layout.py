@@ -67,6 +67,14 @@ def refuse_existing(path: Path) -> None:
         store = os.path.isfile(path / "zarr.json")
         go_on = f"`fic-sweep resume {path}` continues it, " if store else ""
         raise SweepError(f"{path}: exists already; {go_on}--out names another")
+    if os.path.lexists(away(path)):  # it would be taken for what has to be removed
+        told = f"`fic-sweep resume {path}` finishes its extension, which was cut short"
+        raise SweepError(f"{path}: {told}; --out names another")
+
+
+def away(path: Path) -> Path:
+    """Where a store waits until the larger one has its place."""
+    return path.with_name(f".{path.name}.before")
 
 
 def refuse_small_disk(path: Path, grid: Grid, dtype: str) -> None:

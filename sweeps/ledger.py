@@ -8,6 +8,7 @@ itself, so that a damaged ledger is told from a true one.
 import hashlib
 import json
 import os
+import re
 import sqlite3
 from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
@@ -15,16 +16,23 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter
+
 NAME = "ledger.sqlite"
 SEAL = "ledger.sha256"  # of the whole ledger while no process writes it; `sha256sum -c` reads it
 KEPT = 1_000_000  # bytes: smaller files outside the blocks are kept in the ledger as a copy
 
 DONE, PARTLY, SET_ASIDE = "done", "partly", "set aside"
 
-SCHEMA = """
-CREATE TABLE fixed (path TEXT PRIMARY KEY, body TEXT, content BLOB, sha256 TEXT);
-CREATE TABLE blocks (block INTEGER PRIMARY KEY, body TEXT, sha256 TEXT);
-"""
+SCHEMA = (
+    "CREATE TABLE fixed (path TEXT PRIMARY KEY, body TEXT, content BLOB, sha256 TEXT)",
+    "CREATE TABLE blocks (block INTEGER PRIMARY KEY, body TEXT, sha256 TEXT)",
+)
+# A store can come from somebody else. What a ledger may name outside the blocks:
+FIXED = re.compile(r"zarr\.json|[A-Za-z0-9_]+/(zarr\.json|c\.\d+)")
+LONGEST = 4 * KEPT  # bytes of a value
+ROLLBACK = b"\1\1"  # at byte 18 of a database whose journal is one file beside it
+SUPER = bytes.fromhex("d9d505f920a163d7")  # the end of a journal that names a file to be removed
 
 
 class LedgerError(Exception):
@@ -41,6 +49,13 @@ class Stamp:
     @classmethod
     def of(cls, content: bytes) -> "Stamp":
         return cls(len(content), hashlib.sha256(content).hexdigest())
+
+
+def intact(path: Path, stamp: Stamp) -> bool:
+    """Whether a file contains what the ledger says."""
+    if path.is_symlink() or not path.is_file() or path.stat().st_size != stamp.size:
+        return False
+    return Stamp.of(path.read_bytes()) == stamp
 
 
 @dataclass(frozen=True)
@@ -79,7 +94,8 @@ class Ledger:
     def create(cls, path: Path) -> "Ledger":
         """An empty ledger. Raises OSError."""
         with _opened(path, "rwc") as database:
-            database.executescript(SCHEMA)
+            for table in SCHEMA:
+                database.execute(table)
         return cls(path)
 
     def add(self, rows: Iterable[Row]) -> None:
@@ -154,12 +170,8 @@ class Ledger:
             yield block, _row(block, body, told)
 
     def _fixed(self) -> Iterator[tuple[str, Fixed | None]]:
-        for path, body, content, told in self._select("SELECT * FROM fixed ORDER BY path"):
-            good = _digest(path, body) == told
-            fixed = Fixed(path, Stamp(**json.loads(body)), content) if good else None
-            if fixed and content is not None and Stamp.of(content) != fixed.stamp:
-                fixed = None
-            yield path, fixed
+        for path, *rest in self._select("SELECT * FROM fixed ORDER BY path"):
+            yield str(path), _fixed(path, *rest)
 
     def _select(self, query: str) -> Iterator[Any]:
         # for writing too: a commit that a kill cut short is undone by whoever reads next
@@ -173,13 +185,29 @@ def _body(row: Row) -> str:
     return json.dumps(values)
 
 
-def _row(block: int, body: str, told: str) -> Row | None:
+def _row(block: object, body: Any, told: object) -> Row | None:
     """A row as it was written, or None."""
     if _digest(block, body) != told:
         return None
-    values = json.loads(body)
-    files = {name: Stamp(**stamp) for name, stamp in values.pop("files").items()}
-    return Row(block=block, files=files, **values)
+    try:
+        return _ROW.validate_python({"block": block} | json.loads(body))
+    except (TypeError, ValueError, RecursionError):
+        return None
+
+
+def _fixed(path: Any, body: Any, content: Any, told: object) -> Fixed | None:
+    """A file outside the blocks as it was noted, or None."""
+    if _digest(path, body) != told or not FIXED.fullmatch(str(path)):
+        return None
+    try:
+        stamp = _STAMP.validate_python(json.loads(body))
+        good = content is None or Stamp.of(content) == stamp
+    except (TypeError, ValueError, RecursionError):
+        return None
+    return Fixed(path, stamp, content) if good else None
+
+
+_ROW, _STAMP = TypeAdapter(Row), TypeAdapter(Stamp)
 
 
 def _digest(key: object, body: str) -> str:
@@ -192,18 +220,39 @@ def _opened(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
 
     What the system refuses is an OSError, what is wrong with the file a LedgerError.
     """
+    if mode != "rwc":
+        _refuse_foreign(path)
     try:
         address = f"{path.absolute().as_uri()}?mode={mode}"
         # another process may be reading: it is done in no time
         with closing(sqlite3.connect(address, uri=True, timeout=60)) as database:
             database.execute("PRAGMA synchronous = FULL")
             database.execute("PRAGMA trusted_schema = OFF")
+            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST)
+            tables = database.execute("SELECT sql FROM sqlite_schema WHERE sql IS NOT NULL")
+            if mode != "rwc" and tuple(sql for (sql,) in tables) != SCHEMA:
+                raise LedgerError("it has other tables")
             yield database
     except sqlite3.Error as error:
         name = getattr(error, "sqlite_errorname", "")  # none where Python can't decode a text
         if name.startswith(_REFUSED):
             raise OSError(None, f"{error}", str(path)) from None
         raise LedgerError(str(error)) from None
+
+
+def _refuse_foreign(path: Path) -> None:
+    """Raise LedgerError for what SQLite would wait for, follow out of the store or obey."""
+    for beside in ("", "-journal", "-wal", "-shm"):
+        file = path.with_name(path.name + beside)
+        if file.is_symlink() or (file.exists() and not file.is_file()):
+            raise LedgerError(f"{file.name} is no file")
+    journal = path.with_name(f"{path.name}-journal")
+    if journal.is_file() and journal.read_bytes().endswith(SUPER):
+        raise LedgerError(f"{journal.name} is not its own")
+    if path.is_file():
+        with path.open("rb") as opened:
+            if opened.read(20)[18:] not in (b"", ROLLBACK):
+                raise LedgerError("it is kept in another way")
 
 
 _REFUSED = tuple(

@@ -8,9 +8,9 @@ import numpy as np
 
 from sweeps.grid import Grid
 from sweeps.layout import size
-from sweeps.ledger import Row
+from sweeps.ledger import Row, intact
 from sweeps.runner import Progress
-from sweeps.spec import SweepError
+from sweeps.spec import SweepError, shown
 from sweeps.store import DIVERGED, Store, Tally
 from sweeps.verify import Report
 
@@ -41,7 +41,7 @@ def expectation(grid: Grid, compiling: float, rate: float) -> str:
 def status_lines(store: Store) -> list[str]:
     """How far a store is and what made it."""
     tally, attrs, grid = Tally.of(store), store.group.attrs.asdict(), store.grid
-    done = grid.cells - tally.cells["not run"]
+    done = tally.done
     return [
         f"{store.path}: {grid.sweep.name}, {_dims(grid)}",
         f"done      {done:,} of {grid.cells:,} cells ({_share(done, grid.cells)})",
@@ -50,9 +50,9 @@ def status_lines(store: Store) -> list[str]:
         *(f"failed    {told}" for told in set_aside_lines(store, tally.set_aside)),
         *(f"trusted   {told}" for told in _trusted(store, tally)),
         f"blocks    {len(tally.pending):,} of {grid.n_blocks:,} to do",
-        f"began     {attrs['start']}, ended {attrs.get('end', 'not yet')}",
-        f"made by   fic_jax {attrs['fic_jax']} ({attrs['revision']}), jax {attrs['jax']}",
-        f"on        {attrs['device']}, {attrs['dtype']}",
+        shown(f"began     {attrs['start']}, ended {attrs.get('end', 'not yet')}"),
+        shown(f"made by   fic_jax {attrs['fic_jax']} ({attrs['revision']}), jax {attrs['jax']}"),
+        shown(f"on        {attrs['device']}, {attrs['dtype']}"),
     ]
 
 
@@ -60,7 +60,7 @@ def set_aside_lines(store: Store, rows: Sequence[Row]) -> Iterator[str]:
     """Which blocks could not be computed, where they are, and why."""
     for row in rows[:NAMED]:
         where = ", ".join(_stretch(store.grid, row.block))
-        yield f"block {row.block} ({where}) after {row.attempt} attempts: {row.error}"
+        yield f"block {row.block} ({where}) after {row.attempt} attempts: {shown(row.error)}"
     if len(rows) > NAMED:
         yield f"and {many(len(rows) - NAMED, 'more block')}"
 
@@ -78,7 +78,9 @@ def _diverged(store: Store) -> Iterator[str]:
     for row in store.rows():
         if not row.diverged or not left:
             continue
-        block = store.grid.block(row.block)
+        block, stamp = store.grid.block(row.block), row.files.get("status")
+        if stamp and not intact(store.file("status", row.block), stamp):
+            raise store.damaged(f"block {row.block} is not as it was written")
         found = np.argwhere(np.asarray(store.array("status")[block]) == DIVERGED)[:left]
         for place in found:
             cell = [part.start + int(i) for part, i in zip(block, place, strict=True)]
@@ -170,8 +172,7 @@ def _reason(error: BaseException) -> str:
 def _trusted(store: Store, tally: Tally) -> Iterator[str]:
     """How many of the cells done are trusted, where the store can tell."""
     if store.grid.sweep.error_estimate:
-        done = store.grid.cells - tally.cells["not run"]
-        share = f"{tally.trusted:,} of {done:,} cells ({_share(tally.trusted, done)})"
+        share = f"{tally.trusted:,} of {tally.done:,} cells ({_share(tally.trusted, tally.done)})"
         bound = float(str(store.group.attrs["trust_bound"]))
         yield f"{share}, nmse known to {100 * bound:g} %"
 

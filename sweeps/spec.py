@@ -19,7 +19,11 @@ from pydantic import (
 from fic_jax import METRICS, Params
 
 MAX_AXIS = 10_000_000  # values of one axis: they are held in memory, the grid is not
+MAX_PERIODS = 1_000_000  # of them where each is checked against dt
 MAX_CASES = 10_000  # rows of [cases]: written by hand
+MAX_CELLS = 10**12  # of a sweep: 4 TB for each variable in 32 bits
+MAX_CHOSEN = 100  # names in a list: there are fewer to choose from
+MAX_SHOWN = 300  # letters of somebody else's text in a message
 MAX_STEPS = 100_000_000  # plant steps are counted in int32
 # Fields that take part in a check of more than one field (xb > x0, Fmax, the stiffest scenario).
 COUPLED = ("K0", "Fmax", "x0", "xb", "S", "I", "Kenv", "Denv")
@@ -34,8 +38,16 @@ class SweepError(Exception):
     """A request that can't be run; its text is one clear line for each thing wrong."""
 
 
+def shown(text: str) -> str:
+    """Somebody else's text as a part of one line: nothing a terminal obeys, and not all of it."""
+    cut = text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in cut)
+
+
 def suggest(word: str, known: Iterable[str]) -> str:
     """'; did you mean `x`?' for the nearest known word, or an empty string."""
+    if len(word) > MAX_SHOWN:  # comparing takes time with the square of the length
+        return ""
     lower = {name.lower(): name for name in known}
     near = difflib.get_close_matches(word.lower(), lower, n=1, cutoff=0.5)
     return f"; did you mean `{lower[near[0]]}`?" if near else ""
@@ -61,6 +73,8 @@ class Span(Record):
             raise ValueError("between positive ends on a log scale")
         if len(set(self.ends)) < 2:
             raise ValueError("between two different ends")
+        if not np.isfinite(self.ends[1] - self.ends[0]):
+            raise ValueError("between ends whose difference is finite")
         return self
 
     @property
@@ -87,16 +101,35 @@ class Spacing(Span):
         start, stop, _ = part.indices(self.n)
         return self.at(np.arange(start, stop) / (self.n - 1))
 
+    @property
+    def outermost(self) -> np.ndarray:
+        """The ends and what is nearest to zero: a bound that holds for these holds for all."""
+        a, b = self.ends
+        near = np.zeros(0)
+        if a * b < 0:
+            zero = int(a / (a - b) * (self.n - 1))
+            near = self.values(slice(max(zero - 1, 0), zero + 3))
+        return np.concatenate([[a], near, [b]])
 
-Values = Annotated[list[Number], Field(min_length=1, max_length=MAX_AXIS)]
-Column = Annotated[list[Number], Field(min_length=1, max_length=MAX_CASES)]
+    @property
+    def distinct(self) -> bool:
+        """Whether all values differ by more than their rounding."""
+        a, b = np.log(self.ends) if self.log else np.array(self.ends)
+        size = max(abs(a), abs(b)) + (1 if self.log else 0)
+        return bool(abs(b - a) / (self.n - 1) > 4 * np.finfo(float).eps * size)
+
+
+# Of a list the first wrong element is told: all of them could be too many to hold.
+Values = Annotated[list[Number], Field(fail_fast=True, min_length=1, max_length=MAX_AXIS)]
+Column = Annotated[list[Number], Field(fail_fast=True, min_length=1, max_length=MAX_CASES)]
+Names = Annotated[list[str], Field(fail_fast=True, min_length=1, max_length=MAX_CHOSEN)]
 # The tag keeps a wrong value from being explained twice, once for each alternative.
 Axis = Annotated[
     Annotated[Values, Tag("list")] | Annotated[Spacing, Tag("table")],
     Discriminator(lambda given: "table" if isinstance(given, dict | Spacing) else "list"),
 ]
 Choice = Annotated[
-    Annotated[str, Tag("text")] | Annotated[list[str], Field(min_length=1), Tag("list")],
+    Annotated[str, Tag("text")] | Annotated[Names, Tag("list")],
     Discriminator(lambda given: "list" if isinstance(given, list) else "text"),
 ]
 
@@ -113,7 +146,7 @@ class Sample(Record):
 
     n: Annotated[int, Strict(), Field(ge=1, le=2**32)]  # a 32-bit Sobol sequence's length
     method: Method = "sobol"
-    seed: Annotated[int, Strict(), Field(ge=0)] = 0
+    seed: Annotated[int, Strict(), Field(ge=0, lt=2**63)] = 0  # as TOML's whole numbers
     ranges: Annotated[dict[str, Span], Field(min_length=1)]
 
 
@@ -121,8 +154,8 @@ class Sweep(Record):
     """Everything that decides a sweep's numbers, but for the program and its precision."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
-    description: str = ""
-    metrics: Annotated[list[str], Field(min_length=1)] = list(STORED)
+    description: Annotated[str, Field(max_length=10_000)] = ""
+    metrics: Names = list(STORED)
     error_estimate: Annotated[bool, Strict()] = False  # also store how wrong each metric may be
     time: Time = Time()
     model: dict[str, Choice] = {}
@@ -149,14 +182,22 @@ class Sweep(Record):
         return self.model_dump_json(exclude_none=True, exclude={"error_estimate"})
 
     def given(self) -> dict[str, dict[str, np.ndarray]]:
-        """Every field the sweep sets: section -> name -> its values (a range: its ends)."""
+        """Every field the sweep sets: section -> name -> its values, of a range what bounds it."""
         ranges = self.sample.ranges if self.sample else {}
+        axes = {name: self._bounding(name) for name in self.axes}
         return {
             "constants": {name: np.array([value]) for name, value in self.constants.items()},
-            "axes": {name: self.axis_values(name) for name in self.axes},
+            "axes": axes,
             "cases": {name: np.array(column) for name, column in self.cases.items()},
             "sample.ranges": {name: np.array(span.ends) for name, span in ranges.items()},
         }
+
+    def _bounding(self, name: str) -> np.ndarray:
+        """Values of an axis that break any bound of one field, if one does."""
+        axis = self.axes[name]
+        if isinstance(axis, list) or (name == "period" and axis.n <= MAX_PERIODS):
+            return self.axis_values(name)  # a period in between may be no multiple of dt
+        return axis.outermost
 
     def extremes(self) -> Params:
         """Params with a leaf for each case and each combination of the axes' ends.
@@ -167,8 +208,9 @@ class Sweep(Record):
         columns: dict[str, Any] = {name: v[0] for name, v in given["constants"].items()}
         swept = given["axes"] | given["sample.ranges"]
         ends = {n: np.array([v.min(), v.max()]) for n, v in swept.items() if n in COUPLED}
-        n_cases = max((len(column) for column in given["cases"].values()), default=1)
+        cases = {name: column for name, column in given["cases"].items() if name in COUPLED}
+        n_cases = max((len(column) for column in cases.values()), default=1)
         index = np.indices((n_cases, *(2 for _ in ends))).reshape(1 + len(ends), -1)
         columns |= {name: v[i] for (name, v), i in zip(ends.items(), index[1:], strict=True)}
-        columns |= {name: column[index[0]] for name, column in given["cases"].items()}
+        columns |= {name: column[index[0]] for name, column in cases.items()}
         return Params(**columns)

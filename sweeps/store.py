@@ -6,7 +6,6 @@ has a row for it (`sweeps.commit` writes them, in that order).
 
 import hashlib
 import json
-import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,9 +17,10 @@ import numpy as np
 import zarr
 
 from sweeps import ledger as ledgers
+from sweeps.durable import PARTIAL
 from sweeps.grid import Grid
-from sweeps.ledger import DONE, SET_ASIDE, Ledger, LedgerError, Row
-from sweeps.spec import STORED, Sweep, SweepError
+from sweeps.ledger import DONE, SET_ASIDE, Fixed, Ledger, LedgerError, Row, intact
+from sweeps.spec import STORED, Sweep, SweepError, shown
 from sweeps.validation import validate
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ FLAGS = {"trusted": TRUSTWORTHY, "status": STATUS}  # beside the metrics; 0 is t
 ERRORS = {f"{name}_error": name for name in STORED}  # estimate -> the metric it is about
 FORMAT = 2  # of the store; a change that older programs can't read adds one
 COORDINATE_CHUNK = 1_000_000  # values of a coordinate that are written at once
-LARGEST_RECORD = 200_000_000  # bytes of a store's zarr.json: an axis can be a list of values
+LARGEST_RECORD = 20_000_000  # bytes of a store's zarr.json: a sweep file's million, escaped
 
 
 @dataclass(frozen=True)
@@ -81,14 +81,45 @@ class Store:
 
     def refuse_missing(self) -> None:
         """Raise SweepError where files of finished blocks are gone: Zarr would read fill values."""
-        rows = self.rows() if self.ledger else []
-        there = {name: _names(self.path / name) for name in self.variables}
+        if self.ledger is None:
+            return
+        rows = self.rows()
+        # status first: it is written last, perhaps while this looks
+        there = {name: _files(self.path / name) for name in reversed(self.variables)}
         files = (self.file(name, row.block) for row in rows for name in row.files)
         missing = [file for file in files if file.name not in there[file.parent.name]]
         if missing:
             first = missing[0].relative_to(self.path)
             more = f" and {len(missing) - 1:,} more files" if len(missing) > 1 else ""
             raise self.damaged(f"lacks {first}{more}, of finished blocks")
+        if not all(there["status"] <= there[name] for name in self.variables):
+            told = "a power cut left blocks half written"
+            raise SweepError(f"{self.path}: {told}; `fic-sweep resume {self.path}` writes them")
+
+    def check_frame(self) -> None:
+        """Raise SweepError where metadata or coordinates are not as they were written."""
+        if self.ledger is None:
+            return
+        try:
+            fixed = list(self.ledger.fixed())
+        except LedgerError as error:
+            raise self.damaged(f"{ledgers.NAME}: {error}") from None
+        for one in fixed:
+            if not (intact(self.path / one.path, one.stamp) or self._lacks_its_end(one)):
+                raise self.damaged(f"{one.path} is not as it was written")
+
+    def _lacks_its_end(self, one: Fixed) -> bool:
+        """Whether a kill came between the two notes of when the store was finished."""
+        if one.path != "zarr.json" or one.content is None:
+            return False
+        try:
+            noted, told = (
+                json.loads(text) for text in (one.content, (self.path / one.path).read_bytes())
+            )
+            noted["attributes"].pop("end", None)
+        except (ValueError, LookupError, TypeError, AttributeError):
+            return False
+        return bool(noted == told)
 
     def array(self, name: str) -> zarr.Array[Any]:
         """A variable on disk."""
@@ -123,6 +154,11 @@ class Tally:
     set_aside: list[Row]
     begun: dict[int, Row]  # pending blocks of which the ledger knows something
 
+    @property
+    def done(self) -> int:
+        """Cells that were computed; a failed one was not."""
+        return self.cells["ok"] + self.cells["diverged"]
+
     @classmethod
     def of(cls, store: Store) -> "Tally":
         """Count the ledger of a store. Raises SweepError if it is damaged."""
@@ -144,6 +180,8 @@ def open_store(path: Path, mode: Any = "r") -> Store:
     try:
         if os.path.getsize(path / "zarr.json") > LARGEST_RECORD:
             raise ValueError("its zarr.json is too large")
+        if "consolidated_metadata" not in json.loads((path / "zarr.json").read_bytes()):
+            raise ValueError("its metadata is not in one file")  # Zarr would open any other
         group = zarr.open_group(path, mode=mode, zarr_format=3)
         attributes = group.attrs.asdict()
         record = str(attributes["sweep"])
@@ -154,7 +192,7 @@ def open_store(path: Path, mode: Any = "r") -> Store:
         if chunk < 1 or dtype not in ("float32", "float64"):
             raise ValueError(f"block_cells {chunk}, dtype {dtype}")
     except Exception as error:  # whatever zarr and pydantic make of somebody else's file
-        told = " ".join(str(error).split())[:150]
+        told = shown(" ".join(str(error).split())[:150])
         raise SweepError(f"{path}: is no result store of fic-sweep ({told})") from None
     if written_format not in (1, FORMAT):
         raise SweepError(f"{path}: has format {written_format}; this program reads up to {FORMAT}")
@@ -162,39 +200,55 @@ def open_store(path: Path, mode: Any = "r") -> Store:
         raise SweepError(f"{path}: its sweep record differs from the one that began it")
     ledger = Ledger(path / ledgers.NAME) if written_format > 1 else None
     store = Store(path, Grid(validate(raw, str(path)), chunk), group, ledger)
-    for name, shape, largest in _expected(store):
-        if not _is(store, name, shape, largest):
-            raise SweepError(f"{path}: its variable {name} is not the one of its sweep")
+    for expected in _expected(store):
+        if not _is(store, *expected):
+            raise SweepError(f"{path}: its variable {expected[0]} is not the one of its sweep")
+    if ledger is None and any(not _plain(entry) for entry in path.rglob("*")):
+        raise SweepError(f"{path}: has a link in it; a store is one folder")
     return store
 
 
-def _expected(store: Store) -> Iterator[tuple[str, tuple[int, ...], int]]:
-    """Every array of a store: name, shape, and how many values a chunk may have."""
-    grid = store.grid
-    yield from ((name, grid.shape, math.prod(grid.block_shape)) for name in store.variables)
+def _expected(store: Store) -> Iterator[tuple[str, tuple[int, ...], tuple[int, ...], str]]:
+    """Every array of a store: name, shape, shape of a chunk, and what its values are."""
+    grid, chunk = store.grid, (COORDINATE_CHUNK,)
+    for name in store.variables:
+        yield name, grid.shape, grid.block_shape, "uint8" if name in FLAGS else store.dtype
     for dim, length in grid.dims.items():
-        for name in grid.coordinates(dim, slice(0, 1)):
-            yield name, (length,), min(length, COORDINATE_CHUNK)
+        for name, value in grid.coordinates(dim, slice(0, 1)).items():
+            dtype = "StringDType()" if value.dtype.kind == "U" else str(value.dtype)
+            yield name, (length,), min((length,), chunk), dtype
 
 
-def _is(store: Store, name: str, shape: tuple[int, ...], largest: int) -> bool:
+def _is(
+    store: Store, name: str, shape: tuple[int, ...], chunks: tuple[int, ...], dtype: str
+) -> bool:
     """Whether an array is as we lay it out: somebody else's could ask for any memory or codec."""
     try:
         array = store.array(name)
         told = array.metadata.to_dict()["codecs"]
         codecs = {codec["name"] for codec in cast(Any, told)}
         return (
-            array.shape == shape
-            and math.prod(array.chunks) <= largest
+            (array.shape, array.chunks, str(array.dtype)) == (shape, chunks, dtype)
             and codecs <= {"bytes", "blosc", "crc32c", "vlen-utf8"}
+            and not (store.path / name).is_symlink()
         )
     except Exception:  # whatever zarr makes of somebody else's metadata
         return False
 
 
-def _names(folder: Path) -> set[str]:
+def _plain(entry: Path) -> bool:
+    """Whether this is a file or a folder, and no way to anything else."""
+    return not entry.is_symlink() and (entry.is_file() or entry.is_dir())
+
+
+def _files(folder: Path) -> set[str]:
+    """Names of the files in a folder. Raises SweepError where a reader would wait, or leave."""
     try:
-        return set(os.listdir(folder))
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                if not entry.is_file(follow_symlinks=False):
+                    raise SweepError(f"{entry.path}: is no file, as all of a store is")
+        return {name for name in os.listdir(folder) if not name.endswith(PARTIAL)}
     except OSError:
         return set()
 
@@ -215,5 +269,6 @@ def dataset(path: Path) -> "xr.Dataset":
     import xarray as xr  # half a second with pandas, and a run needs neither
 
     store = open_store(path)  # tells a foreign one
+    store.check_frame()
     store.refuse_missing()
     return xr.open_zarr(path, chunks=None)[store.variables]

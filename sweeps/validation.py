@@ -1,6 +1,7 @@
 """From the text of a sweep file to a checked Sweep, or to a clear line for each thing wrong."""
 
 import json
+import math
 import re
 import tomllib
 from collections.abc import Iterator
@@ -12,8 +13,11 @@ from pydantic import ValidationError
 
 from fic_jax import CHOICES, QUANTITIES, Model, Params, ParamsError
 from fic_jax.params import check, check_field
+from sweeps.grid import dims_of
 from sweeps.spec import (
     MAX_AXIS,
+    MAX_CELLS,
+    MAX_PERIODS,
     MAX_STEPS,
     STORED,
     Record,
@@ -23,29 +27,45 @@ from sweeps.spec import (
     Sweep,
     SweepError,
     Time,
+    shown,
     suggest,
 )
+
+MAX_FILE = 1_000_000  # bytes: the TOML reader takes 4 s for a list that long; a range is short
+MAX_PARTS = 20  # of a dotted key: the reader's time goes with their square; a sweep has four
+MAX_KEYS = 1_000  # of a file: each wrong one is a line and a search for what was meant
+MAX_TOLD = 20  # mistakes
 
 
 def load(path: Path, overrides: tuple[str, ...] = ()) -> Sweep:
     """Read and validate a sweep file. Raises SweepError, one line for each problem."""
     try:
-        text = path.read_text(encoding="utf-8-sig")  # some editors write a mark
+        with path.open("rb") as file:  # not all of it: it could be a device without an end
+            content = file.read(MAX_FILE + 1)
+        if len(content) > MAX_FILE:
+            raise SweepError(f"{path}: must be at most {MAX_FILE:,} bytes long, but is longer.")
+        text = content.decode("utf-8-sig")  # some editors write a mark
     except FileNotFoundError:
         raise SweepError(f"{path}: there is no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise SweepError(f"{path}: can't be read: {error}") from None
+    except (OSError, ValueError) as error:
+        raise SweepError(f"{shown(str(path))}: can't be read: {shown(str(error))}") from None
     return parse(text, str(path), overrides)
 
 
 def parse(text: str, source: str, overrides: tuple[str, ...] = ()) -> Sweep:
     """Validate the text of a sweep file; `source` names it in messages."""
+    if len(text) > MAX_FILE:
+        raise SweepError(f"{source}: must be at most {MAX_FILE:,} letters long, but is longer.")
+    if _LONG_KEY.search(text):
+        raise SweepError(f"{source}: a key must have at most {MAX_PARTS} parts, but one has more.")
     try:
         raw = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise SweepError(f"{source}: {_syntax(str(error), text)}") from None
+        raise SweepError(f"{source}: {shown(_syntax(str(error), text))}") from None
     except RecursionError:
         raise SweepError(f"{source}: not valid TOML: nested too deeply") from None
+    except ValueError:  # Python reads 4300 digits
+        raise SweepError(f"{source}: not valid TOML: a number of thousands of digits") from None
     for override in overrides:
         _override(raw, override)
     return validate(raw, source)
@@ -53,17 +73,45 @@ def parse(text: str, source: str, overrides: tuple[str, ...] = ()) -> Sweep:
 
 def validate(raw: dict[str, Any], source: str) -> Sweep:
     """Turn a plain record into a Sweep, or raise SweepError."""
+    if _more_keys_than(raw, MAX_KEYS):
+        raise SweepError(f"{source}: must have at most {MAX_KEYS:,} keys, but has more.")
     try:
         sweep = Sweep.model_validate(raw)
     except ValidationError as errors:
-        lines = [f"{source}: {_explain(error)}" for error in errors.errors()]
-        raise SweepError("\n".join(lines)) from None
+        raise _refusal(source, [_explain(error) for error in errors.errors()]) from None
     # in stages: what is wrong with a name says nothing more about its values
     for stage in (_unknown_names, _placement, _time_grid, out_of_bounds):
-        problems = [f"{source}: {problem}" for problem in stage(sweep)]
+        problems = list(stage(sweep))
         if problems:
-            raise SweepError("\n".join(problems))
+            raise _refusal(source, problems)
     return sweep
+
+
+def _refusal(source: str, problems: list[str]) -> SweepError:
+    """A line for each thing wrong, but not thousands."""
+    told = [shown(problem) for problem in problems[:MAX_TOLD]]
+    if len(problems) > MAX_TOLD:
+        told.append(f"and {len(problems) - MAX_TOLD:,} more mistakes")
+    return SweepError("\n".join(f"{source}: {line}" for line in told))
+
+
+_PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+_LONG_KEY = re.compile(
+    rf"(?:^|[\[{{,])[ \t]*+(?:{_PART}[ \t]*+\.[ \t]*+){{{MAX_PARTS}}}", re.MULTILINE
+)
+
+
+def _more_keys_than(raw: Any, most: int) -> bool:
+    """Whether a record has too many keys in all its tables, be they nested in lists."""
+    left, n = [raw], 0
+    while left and n <= most:
+        value = left.pop()
+        if isinstance(value, dict):
+            n += len(value)
+            left.extend(value.values())
+        elif isinstance(value, list):
+            left.extend(one for one in value if isinstance(one, dict | list))
+    return n > most
 
 
 def _syntax(message: str, text: str) -> str:
@@ -108,12 +156,21 @@ def _explain(error: Any) -> str:
     elif kind in ("too_short", "too_long") and context.get("actual_length"):
         least = context.get("min_length", context.get("max_length"))
         wanted = f"{'at least' if kind == 'too_short' else 'at most'} {least} values long"
+    elif kind == "string_too_long":
+        wanted = f"at most {context['max_length']:,} letters long"
     elif wanted is None:
         wanted = re.sub(r"^Input should be ", "", error["msg"])
     if kind == "missing":
         return f"`{key}` must be given, but is missing."
-    given = json.dumps(error["input"], default=str)
-    return f"`{key}` must be {wanted}, but is {given[:60]}."
+    return f"`{key}` must be {wanted}, but is {_beginning(error['input'])}."
+
+
+def _beginning(value: Any) -> str:
+    """A wrong value as the file has it, cut where it is long."""
+    try:
+        return json.dumps(value, default=str)[:60]
+    except (ValueError, RecursionError):  # Python prints no number of thousands of digits
+        return "too long to be shown"
 
 
 def _one_of(known: list[str]) -> str:
@@ -195,16 +252,31 @@ def _placement(sweep: Sweep) -> Iterator[str]:
     if len(set(lengths.values())) > 1:
         yield f"`cases` must be columns of equal length, but are {lengths}."
     for name in sweep.axes:
-        values = sweep.axis_values(name)
-        if len(np.unique(values)) < len(values):
+        axis = sweep.axes[name]
+        if not (axis.distinct if isinstance(axis, Spacing) else len(set(axis)) == len(axis)):
             yield f"`axes.{name}` must be values that differ, but some are given twice."
     lists = any(isinstance(chosen, list) for chosen in sweep.model.values())
     if not (sweep.axes or sweep.cases or sweep.sample or lists):
         yield "`axes` must name at least one quantity to sweep, but is empty."
     if sweep.sample and "period" in sweep.sample.ranges:
         yield "`sample.ranges.period` must be an axis or a case: it is a multiple of dt."
-    if sweep.sample and sweep.sample.method == "lhs" and sweep.sample.n > MAX_AXIS:
-        yield f"`sample.n` must be at most {MAX_AXIS} with lhs, but is {sweep.sample.n}."
+    yield from _sizes(sweep)
+
+
+def _sizes(sweep: Sweep) -> Iterator[str]:
+    """What is too much to plan or to hold."""
+    cells, sample, period = (
+        math.prod(dims_of(sweep).values()),
+        sweep.sample,
+        sweep.axes.get("period"),
+    )
+    if cells > MAX_CELLS:
+        yield f"the sweep must have at most {MAX_CELLS:,} scenarios, but has {_beginning(cells)}."
+    if sample and sample.method == "lhs" and sample.n * len(sample.ranges) > MAX_AXIS:
+        most = MAX_AXIS // len(sample.ranges)
+        yield f"`sample.n` must be at most {most:,} with lhs, but is {sample.n}."
+    if isinstance(period, Spacing) and period.n > MAX_PERIODS:
+        yield f"`axes.period.n` must be at most {MAX_PERIODS:,}, but is {period.n}."
 
 
 def _time_grid(sweep: Sweep) -> Iterator[str]:
@@ -230,10 +302,10 @@ def _override(raw: dict[str, Any], text: str) -> None:
     key, equals, value = text.partition("=")
     key = key.strip()
     if not equals or not key:
-        raise SweepError(f"--set {text}: must be KEY=VALUE, as in --set K0=10")
+        raise SweepError(f"--set {shown(text)}: must be KEY=VALUE, as in --set K0=10")
     try:
         parsed = tomllib.loads(f"value = {value}")["value"]
-    except (tomllib.TOMLDecodeError, RecursionError):
+    except (ValueError, RecursionError):
         parsed = value.strip()
     sections = dict.fromkeys(Time.model_fields, "time") | dict.fromkeys(CHOICES, "model")
     sections |= dict.fromkeys(("n", "method", "seed"), "sample")
@@ -246,7 +318,7 @@ def _override(raw: dict[str, Any], text: str) -> None:
     else:
         known = [*QUANTITIES, *sections, *PLAIN]
         hint = suggest(key, known) or _one_of(known)
-        raise SweepError(f"--set {text}: unknown key `{key}`{hint}")
+        raise SweepError(f"--set {shown(text)}: unknown key `{shown(key)}`{hint}")
 
 
 def _move(raw: dict[str, Any], name: str, value: Any) -> None:

@@ -1,7 +1,6 @@
 """Whether a store is as it was written, file by file, and making it so again."""
 
 import json
-import re
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -10,16 +9,14 @@ from pathlib import Path
 
 from sweeps import durable, owner
 from sweeps import ledger as ledgers
-from sweeps.commit import changing, intact, seal
+from sweeps.commit import changing, seal
 from sweeps.layout import lay_out
-from sweeps.ledger import Fixed, Ledger, LedgerError, Row
+from sweeps.ledger import Fixed, Ledger, LedgerError, Row, intact
 from sweeps.provenance import KEPT
 from sweeps.runner import Tell, run
 from sweeps.spec import SweepError
 from sweeps.store import Store, open_store
 
-# Paths that a ledger may name outside the blocks: a store can come from somebody else.
-FIXED = re.compile(r"zarr\.json|[A-Za-z0-9_]+/(zarr\.json|c\.\d+)")
 OWN = {ledgers.NAME, f"{ledgers.NAME}-journal", ledgers.SEAL, owner.NAME}
 
 
@@ -140,9 +137,7 @@ def _wrong_ledger(ledger: Ledger) -> Iterator[Problem]:
 
 
 def _wrong_fixed(path: Path, one: Fixed) -> Iterator[Problem]:
-    if not FIXED.fullmatch(one.path):
-        yield Problem(ledgers.NAME, f"is damaged: it names a file {one.path!r}")
-    elif not intact(path / one.path, one.stamp) and not _not_ended(path / one.path, one):
+    if not intact(path / one.path, one.stamp) and not _not_ended(path / one.path, one):
         yield Problem(one.path, _how(path / one.path))
 
 

@@ -1,0 +1,495 @@
+"""Any text as a sweep file: a plan, or clear lines that name it; never another error, never slow.
+
+`FIC_TORTURE=1 pytest tests/test_fuzz.py -s` takes 10,000 files and more instead of some hundreds.
+"""
+
+import json
+import os
+import random
+import re
+import string
+import subprocess
+import sys
+import time
+
+import pytest
+
+from fic_jax import CHOICES, QUANTITIES
+from sweeps.cli import LIBRARY
+from sweeps.grid import MAX_BLOCK, MAX_BLOCKS, Grid
+from sweeps.layout import size
+from sweeps.messages import plan_lines
+from sweeps.runner import warnings_of
+from sweeps.spec import COUPLED, MAX_CELLS, STORED, SweepError
+from sweeps.validation import MAX_FILE, MAX_TOLD, load, out_of_bounds, parse, validate
+
+TORTURE = os.environ.get("FIC_TORTURE") == "1"
+FILES = 12_000 if TORTURE else 400
+RECORDS = 5_000 if TORTURE else 300
+SECONDS = 2.0  # of CPU for a file; the slowest of those made here takes a tenth of it
+ANY_ORDER = 10_000_000  # scenarios up to which a Sobol sequence is forwarded in no time
+
+
+def planned(text, overrides=()):
+    """Whether it is a sweep, all of whose planning is then done; else how it is refused."""
+    try:
+        plan = parse(text, "mine.toml", overrides)
+    except SweepError as refused:
+        lines = str(refused).splitlines()
+        assert 1 <= len(lines) <= MAX_TOLD + 1
+        for line in lines:
+            assert line.startswith(("mine.toml: ", "--set "))
+            assert line.isprintable()
+            assert len(line) < 1_000
+        return False
+    made_from(plan)
+    return True
+
+
+def made_from(plan):
+    """Whatever is done with a plan before its first scenario runs."""
+    grid = Grid(plan)
+    assert 1 <= grid.cells <= MAX_CELLS
+    assert grid.n_blocks <= MAX_BLOCKS
+    assert size(grid, "float64") > grid.cells
+    assert all(line.isprintable() for line in plan_lines(grid, "float32"))
+    list(warnings_of(plan))
+    list(out_of_bounds(plan, "float32"))
+    small = Grid(plan, max(50, 4 * grid.cells // MAX_BLOCKS))
+    for index in {0, small.n_blocks - 1}:
+        block = small.block(index)
+        if not plan.sample or block[-1].start < ANY_ORDER:
+            small.params(block)
+        small.model(block)
+    again = json.loads(plan.record()) | {"error_estimate": plan.error_estimate}
+    assert validate(again, "a store") == plan  # what is begun can be opened again
+
+
+CORPUS = [path.read_text() for path in sorted(LIBRARY.glob("*.toml"))] + [
+    """
+name = "all"
+description = "every table"
+metrics = ["nmse", "peak_torque"]
+error_estimate = true
+[time]
+dt = 0.01
+t_end = 0.5
+[model]
+contact = ["welded", "hard_stop"]
+law = "effort"
+[constants]
+sigma = 0.02
+[axes]
+K0 = { log = [1.0, 300.0], n = 5 }
+Kenv = { lin = [-0.0, 300.0], n = 7 }
+Td = [-1.0, 5.0, 20.0]
+[cases]
+Denv = [0.0, 63.2]
+gap = [0.0, 0.1]
+""",
+    """
+name = "drawn"
+[sample]
+n = 1000
+method = "lhs"
+seed = 7
+ranges = { Td = { lin = [1.0, 5.0] }, K0 = { log = [1.0, 1000.0] } }
+[axes]
+""",
+    'name = "axes"\naxes = { period = { lin = [0.01, 0.1], n = 10 }, x0 = [0.05, 0.1] }\n',
+]
+KEYS = [
+    *QUANTITIES, *CHOICES, "name", "description", "metrics", "error_estimate", "dt", "t_end", "n",
+    "method", "seed", "ranges", "lin", "log", "time", "model", "constants", "axes", "cases",
+    "sample", "case", "scenario", "status", "trusted", "nmse", '""', '"a b"', "'é'", "'../x'",
+    '"\\u0000"', '"a\\nb"', "__class__", "k" * 500,
+]  # fmt: skip
+VALUES = [
+    "0", "-0.0", "1", "-1", "0.3", "2", "10", "1e-320", "1e308", "-1e308", "1e999", "nan", "-inf",
+    "inf", "1e15", "10000000", "4294967296", "9223372036854775807", "9" * 400, "1" * 5000,
+    "0x" + "f" * 6000, "1_000", "0b11", "true", "false", '""', '"x"', '"welded"', '"sobol"',
+    '"lhs"', "'../../etc/passwd'", '"\\u001b[2J"', '"\\u202e"', '"nmse"', "'''\n\n'''",
+    '"' + "w" * 3000 + '"', "[]", "[[]]", "{}", "[1, 2]", "[1, 1]", "[2, 'a']", "[1, 2, 3]",
+    "[0.0, 1.0]", "[" + "1.5, " * 300 + "]", "{ n = 3 }", "{ lin = [1, 2], n = 3 }",
+    "{ log = [1e-300, 1e300], n = 10000000 }", "{ lin = [-1, 1], n = 10000000 }",
+    "{ lin = [1.0, 1.0000000000000002], n = 100 }", "{ log = [1, 2] }", "1979-05-27",
+    "1979-05-27T07:32:00Z", "07:32:00", '["nmse", "nmse"]', '["hard_stop", "welded"]',
+    "[" * 60 + "]" * 60, "{ a = " * 60 + "1" + " }" * 60, "é", "\x00", "=", "",
+]  # fmt: skip
+NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+
+
+def mutated(text, rng):
+    """A file with up to three things changed."""
+    for _ in range(rng.choice((1, 1, 1, 2, 3))):
+        text = rng.choice(MUTATIONS)(text, rng)
+    return text
+
+
+def _another_number(text, rng):
+    found = list(NUMBER.finditer(text))
+    if not found:
+        return text
+    at = rng.choice(found)
+    return text[: at.start()] + rng.choice(VALUES) + text[at.end() :]
+
+
+def _a_near_number(text, rng):
+    """One that may well be allowed."""
+    return NUMBER.sub(
+        lambda found: found[0] if rng.random() < 0.8 else str(rng.choice((2, 7, 0.5, 31, 1e-3))),
+        text,
+    )
+
+
+def _another_value(text, rng):
+    lines = text.splitlines()
+    at = rng.randrange(len(lines) or 1)
+    key = lines[at].partition("=")[0] if lines and "=" in lines[at] else rng.choice(KEYS)
+    return "\n".join([*lines[:at], f"{key} = {rng.choice(VALUES)}", *lines[at + 1 :]])
+
+
+def _another_key(text, rng):
+    lines = text.splitlines()
+    at = rng.randrange(len(lines) or 1)
+    value = lines[at].partition("=")[2] if lines and "=" in lines[at] else rng.choice(VALUES)
+    return "\n".join([*lines[:at], f"{rng.choice(KEYS)} = {value}", *lines[at + 1 :]])
+
+
+def _one_more(text, rng):
+    lines = text.splitlines()
+    key = ".".join(rng.choices(KEYS, k=rng.choice((1, 1, 1, 2, 3, 30))))
+    table = f"[{rng.choice(KEYS)}]" if rng.random() < 0.3 else f"{key} = {rng.choice(VALUES)}"
+    lines.insert(rng.randint(0, len(lines)), table)
+    return "\n".join(lines)
+
+
+def _lines(text, rng):
+    """One gone, one twice, or two in each other's place."""
+    lines = text.splitlines() or [""]
+    i, j = rng.randrange(len(lines)), rng.randrange(len(lines))
+    how = rng.randrange(3)
+    if how == 0:
+        del lines[i]
+    elif how == 1:
+        lines.insert(j, lines[i])
+    else:
+        lines[i], lines[j] = lines[j], lines[i]
+    return "\n".join(lines)
+
+
+def _letters(text, rng):
+    at = rng.randint(0, len(text))
+    what = "".join(rng.choices([*string.printable, "é", "\x00", "\u202e", "\U0001f600"], k=3))
+    return text[:at] + what + text[at + rng.randrange(4) :]
+
+
+def _end(text, rng):
+    return text[: rng.randint(0, len(text))]
+
+
+MUTATIONS = (
+    _another_number, _a_near_number, _a_near_number, _a_near_number, _another_value,
+    _another_key, _one_more, _lines, _letters, _end,
+)  # fmt: skip
+
+
+def random_file(rng):
+    """TOML of the right words in any order."""
+    lines = [f"{rng.choice(KEYS)} = {rng.choice(VALUES)}" for _ in range(rng.randrange(3))]
+    if rng.random() < 0.8:
+        lines.append('name = "a"')
+    for _ in range(rng.randrange(5)):
+        lines.append(f"[{rng.choice(KEYS[-26:] if rng.random() < 0.8 else KEYS)}]")
+        lines += [f"{rng.choice(KEYS)} = {rng.choice(VALUES)}" for _ in range(rng.randrange(4))]
+    return "\n".join(lines)
+
+
+def test_any_file_is_a_plan_or_told_in_clear_lines(tmp_path, capsys):
+    rng, told = random.Random(6), {True: 0, False: 0}
+    slowest = 0.0
+    for i in range(FILES):
+        text = random_file(rng) if i % 4 == 0 else mutated(rng.choice(CORPUS), rng)
+        overrides = ()
+        if i % 5 == 0:
+            overrides = (f"{rng.choice(KEYS)}={rng.choice(VALUES)}", mutated("K0 = 10", rng))
+        began = time.process_time()
+        try:
+            told[planned(text, overrides)] += 1
+            if i % 10 == 1:
+                broken_bytes(tmp_path / "mine.toml", text, rng)
+        except Exception as error:
+            error.add_note(f"file {i}:\n{text}\n--set {overrides}")
+            raise
+        slowest = max(slowest, time.process_time() - began)
+    assert slowest < SECONDS
+    # a fuzz that reaches no plan, or nothing else, tests nothing
+    assert min(told.values()) > FILES / 20
+    if TORTURE:
+        counted = f"{told[True]:,} planned, {told[False]:,} refused; slowest {slowest:.2f} s"
+        with capsys.disabled():
+            sys.stdout.write(f"\n{FILES:,} sweep files: {counted}\n")
+
+
+def broken_bytes(path, text, rng):
+    """A file with some bytes that may be no UTF-8."""
+    content = bytearray(text.encode())
+    for _ in range(rng.randint(1, 4)):
+        content[rng.randrange(len(content) or 1) : 1] = bytes([rng.randrange(256)])
+    path.write_bytes(content)
+    refused = ""
+    try:
+        made_from(load(path))
+    except SweepError as error:
+        refused = str(error)
+    assert all(line.startswith(f"{path}: ") for line in refused.splitlines())
+
+
+ANYTHING = [
+    None, True, 0, 1, 2, -1, 1.5, 0.25, 10**400, float("nan"), float("inf"), "", "x", "../x",
+    "\x1b[2J\n", "\ud800", [1.0, 2.0], [], [None], [[1]], {}, {"a": None}, {"": {}},
+    {"lin": [1, 2], "n": 3}, {"log": None}, [1, "2"],
+]  # fmt: skip
+
+
+def changed(record, rng):
+    """A record with one value, somewhere in it, replaced or added."""
+    place = record
+    while True:
+        keys = list(place) if isinstance(place, dict) else list(range(len(place)))
+        key = rng.choice(keys) if keys else None
+        inner = place[key] if keys else None
+        if not isinstance(inner, dict | list) or not inner or rng.random() < 0.3:
+            break
+        place = inner
+    if isinstance(place, dict) and (key is None or rng.random() < 0.2):
+        key = rng.choice(KEYS)
+    if key is not None:
+        place[key] = rng.choice(ANYTHING)
+    return record
+
+
+def test_any_record_of_a_store_is_a_plan_or_told_in_clear_lines():
+    """JSON knows other values than TOML, and a store can come from anybody."""
+    rng, told = random.Random(7), {True: 0, False: 0}
+    records = [parse(text, "f").record() for text in CORPUS]
+    for _ in range(RECORDS):
+        record = changed(json.loads(rng.choice(records)), rng)
+        lines = []
+        try:
+            made_from(validate(record, "mine.zarr"))
+        except SweepError as refused:
+            lines = str(refused).splitlines()
+        except Exception as error:
+            error.add_note(repr(record))
+            raise
+        assert all(line.startswith("mine.zarr: ") and line.isprintable() for line in lines)
+        told[not lines] += 1
+    assert min(told.values()) > RECORDS / 50
+
+
+HEAD = 'name = "a"\n'
+AXES = HEAD + "[axes]\n"
+TEN_AXES = "".join(f"{n} = {{ lin = [1, 9], n = 10000000 }}\n" for n in list(QUANTITIES)[4:14])
+ENDS = "".join(f"{n} = [5.0, 6.0]\n" for n in COUPLED if n not in ("x0", "xb"))
+NASTY = {  # a name -> a file, and what must be told of it; None where it is a plan
+    "cells": (
+        AXES + "".join(f"{n} = {{ lin = [1, 9], n = 100000 }}\n" for n in ("K0", "Kenv", "Td")),
+        "mine.toml: the sweep must have at most 1,000,000,000,000 scenarios, "
+        "but has 1000000000000000.",
+    ),
+    "ten axes": (AXES + TEN_AXES, "the sweep must have at most 1,000,000,000,000 scenarios"),
+    "one axis": (AXES + "K0 = { log = [1, 1000], n = 10000000 }", None),
+    "ten billion": (AXES + "K0 = { log = [1, 9], n = 10000000 }\nTd = [1.0, 2.0]", None),
+    "through zero": (
+        AXES + "Td = { lin = [-1, 1], n = 9999999 }",
+        "`axes.Td` must be non-zero and finite, but is 0.",
+    ),
+    "periods": (
+        AXES + "period = { lin = [0.01, 1e5], n = 10000000 }",
+        "`axes.period.n` must be at most 1,000,000, but is 10000000.",
+    ),
+    "a million periods": (
+        AXES + "period = { lin = [0.01, 0.02], n = 1000000 }",
+        "must be a whole multiple of dt",
+    ),
+    "infinitely wide": (
+        AXES + "gap = { lin = [-1e308, 1e308], n = 9 }",
+        "must be between ends whose difference is finite",
+    ),
+    "too fine": (AXES + "K0 = { lin = [1.0, 1.0000000001], n = 10000000 }", "values that differ"),
+    "lhs": (
+        HEAD + '[sample]\nn = 10000000\nmethod = "lhs"\n'
+        "ranges = { Td = { lin = [1, 2] }, K0 = { lin = [1, 2] } }",
+        "`sample.n` must be at most 5,000,000 with lhs, but is 10000000.",
+    ),
+    "sample": (
+        HEAD + "[sample]\nn = 99999999999\nranges = { Td = { lin = [1, 2] } }",
+        "`sample.n` must be less than or equal to 4294967296, but is 99999999999.",
+    ),
+    "seed": (
+        HEAD + f"[sample]\nn = 9\nseed = {'9' * 4000}\nranges = {{ Td = {{ lin = [1, 2] }} }}",
+        "`sample.seed` must be less than 9223372036854775808, but is 999",
+    ),
+    "cases": (AXES + ENDS + "[cases]\nTd = [" + "1.0, " * 10000 + "]", None),
+    "coupled cases": (
+        AXES + ENDS + "[cases]\nx0 = [" + "1.0, " * 10000 + "]\nxb = [" + "2.0, " * 10000 + "]",
+        None,
+    ),
+    "deep array": (AXES + "K0 = " + "[" * 100_000, "not valid TOML: nested too deeply"),
+    "deep table": (AXES + "K0 = " + "{ a = " * 100_000, "not valid TOML: nested too deeply"),
+    "long key": (HEAD + ".".join(["a"] * 100_000) + " = 1", "a key must have at most 20 parts"),
+    "long header": (HEAD + "[" + ".".join(['"a"'] * 100_000) + "]", "at most 20 parts"),
+    "inline key": (HEAD + "b = {" + " . ".join(["a"] * 100_000) + " = 1}", "at most 20 parts"),
+    "keys": ("".join(f"k{i} = 1\n" for i in range(50_000)), "must have at most 1,000 keys"),
+    "tables": ("[[axes]]\na=1\n" * 30_000, "must have at most 1,000 keys"),
+    "wrong keys": (HEAD + "".join(f"k{i} = 1\n" for i in range(900)), "and 880 more mistakes"),
+    "wrong values": (AXES + "K0 = [" + '"", ' * 90_000 + "]", '`axes.K0.0` must be a number, but'),
+    "many values": (AXES + "K0 = [" + ",".join(f"{i}.5" for i in range(1, 120_000)) + "]", None),
+    "metrics": (f"metrics = {['x'] * 5000}\n" + AXES, "`metrics` must be at most 100 values long"),
+    "choices": (f"[model]\nlaw = {['x'] * 5000}", "`model.law` must be at most 100 values long"),
+    "word": ('name = "' + "a" * 900_000 + '"', "`name` must be letters, digits"),
+    "wrong word": (HEAD + "a" * 900_000 + " = 1", "unknown key `aaaa"),
+    "choice": (HEAD + '[model]\nlaw = "' + "a" * 900_000 + '"', "`model.law` must be one of algo"),
+    "text": ("description = '" + "a" * 900_000 + "'\n" + HEAD, "at most 10,000 letters long, but"),
+    "digits": (AXES + "K0 = [" + "9" * 5001 + "]", "not valid TOML: a number of thousands of dig"),
+    "hexadecimal": (AXES + "K0 = [0x" + "9" * 90_000 + "]", "`axes.K0.0` must be a number, but"),
+    "nul": ('name = "a\x00b"', "not valid TOML"),
+    "escape": ('name = "a\\u0000b\\u001b[2J\\n"', r'`name` must be letters, digits'),
+    "bidi key": (HEAD + '"a\\u202e\\n\\u001b" = 1', r"unknown key `a\u202e\n\x1b`"),
+    "names": (HEAD + '[cases]\n"../../x" = [1.0]', "unknown key `cases.../../x`"),
+    "metric": ('metrics = ["../../x"]\n' + AXES + "K0 = [1.0]", "unknown metric `../../x`"),
+    "name": ('name = "../x"\n[axes]\nK0 = [1.0]', "`name` must be letters, digits"),
+    "dates": (AXES + "K0 = [1979-05-27]", '`axes.K0.0` must be a number, but is "1979-05-27"'),
+    "large": ("#" * (MAX_FILE + 1), "must be at most 1,000,000 letters long"),
+    "quotes": ("'" * 900_000, "not valid TOML"),
+    "words": ("a " * 450_000, "not valid TOML"),
+    "dotted text": ("description = '" + "a." * 400 + "'\n" + AXES + "K0 = [1.0]", None),
+}  # fmt: skip
+CHILD = """
+import json, resource, sys, time
+from tests.test_fuzz import NASTY, SweepError, made_from, parse
+told = {}
+virtual = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+limit = virtual + 300_000_000
+resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+for name, (text, _) in NASTY.items():
+    began = time.process_time()
+    try:
+        made_from(parse(text, "mine.toml"))
+        how = None
+    except SweepError as error:
+        how = str(error)
+    told[name] = how, time.process_time() - began
+print(json.dumps(told))
+"""
+
+
+@pytest.fixture(scope="module")
+def nasty():
+    """What becomes of them in 300 MB."""
+    done = subprocess.run(
+        [sys.executable, "-c", CHILD], capture_output=True, text=True, check=False, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.mark.parametrize("name", NASTY)
+def test_what_asks_for_much_is_refused_quickly_and_small(nasty, name):
+    (told, seconds), wanted = nasty[name], NASTY[name][1]
+    if wanted is None:
+        assert told is None
+    else:
+        assert wanted in told
+        assert all(line.startswith("mine.toml: ") for line in told.splitlines())
+        assert len(told) < 10_000
+    # the TOML reader alone takes a second for 100,000 numbers
+    assert seconds < (4.0 if len(NASTY[name][0]) > 200_000 else SECONDS)
+
+
+TEN_BILLION = AXES + "".join(
+    f"{name} = {{ log = [1.0, 1000.0], n = {n} }}\n"
+    for name, n in {"K0": 1000, "Kenv": 1000, "Denv": 100, "Td": 100}.items()
+)
+PLANNING = """
+import resource, sys, time
+from sweeps.grid import Grid
+from sweeps.messages import plan_lines
+from sweeps.validation import parse
+began = time.process_time()
+print(*plan_lines(Grid(parse(sys.argv[1], "f")), "float32"))
+print(time.process_time() - began)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+def test_ten_billion_scenarios_are_planned_in_a_second_and_200_MB():
+    told, seconds, peak = subprocess.run(
+        [sys.executable, "-c", PLANNING, TEN_BILLION], capture_output=True, text=True, check=True
+    ).stdout.splitlines()
+    assert "= 10,000,000,000 scenarios" in told
+    assert float(seconds) < 0.5  # measured: 0.02; beside it JAX takes a second to import
+    assert int(peak) < 200_000  # kB; 150,000 of them are JAX
+
+
+def test_a_chunk_that_no_memory_holds_is_refused():
+    plan = parse(AXES + "K0 = { lin = [1, 9], n = 10000000 }\nTd = [1.0, 2.0]", "f")
+    with pytest.raises(SweepError, match=f"at most {MAX_BLOCK:,} cells in a block, not 20,000,000"):
+        Grid(plan, 10**12)
+    with pytest.raises(SweepError, match=f"at most {MAX_BLOCKS:,} blocks, not 3,"):
+        Grid(plan, 9)
+    assert Grid(plan, MAX_BLOCK).n_blocks == 2
+
+
+def test_a_device_a_folder_and_a_link_are_told(tmp_path):
+    (tmp_path / "link.toml").symlink_to("/dev/zero")
+    (tmp_path / "loop.toml").symlink_to(tmp_path / "loop.toml")
+    (tmp_path / "large.toml").touch()
+    os.truncate(tmp_path / "large.toml", 2**40)  # takes no room
+    for path, wanted in {
+        "/dev/zero": "must be at most 1,000,000 bytes long, but is longer.",
+        tmp_path / "link.toml": "must be at most 1,000,000 bytes long, but is longer.",
+        tmp_path / "large.toml": "must be at most 1,000,000 bytes long, but is longer.",
+        tmp_path / "loop.toml": "can't be read: ",
+        tmp_path: "can't be read: ",
+        "/dev/null": "`name` must be given, but is missing.",
+        "/no/such": "there is no such file",
+        "a\0b": "can't be read: embedded null byte",
+        tmp_path / ("x" * 300): "can't be read: ",
+    }.items():
+        with pytest.raises(SweepError) as refused:
+            load(type(tmp_path)(path))
+        assert str(refused.value).endswith(wanted) or wanted in str(refused.value)
+        assert len(str(refused.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("value", "wanted"),
+    [
+        ("K0=" + "[" * 100_000, "`constants.K0` must be a number"),
+        ("K0=" + "9" * 5000, "`constants.K0` must be a number"),
+        ("K0={ lin = [1, 9], n = 10000000000 }", "`axes.K0.n` must be less than or equal to"),
+        ("name=../../x", "`name` must be letters, digits"),
+        ("metrics=['../x']", "unknown metric `../x`"),
+        ("a\nb=1", r"--set a\nb=1: unknown key `a\nb`"),
+        ("\x1b[2J", r"--set \x1b[2J: must be KEY=VALUE"),
+        ("k" * 100_000, "--set kkk"),
+        ("K0=nan", "`constants.K0` must be a finite number"),
+        ("t_end=1e300", "`time.t_end` must be at most 100,000,000 steps"),
+        ("seed=1", "`sample.n` must be given"),
+        ("law=\udcff", "`model.law` must be"),
+    ],
+)
+def test_values_of_set_are_told_like_those_of_a_file(value, wanted):
+    with pytest.raises(SweepError) as refused:
+        parse(AXES + "Td = [1.0, 2.0]", "f", (value,))
+    assert wanted in str(refused.value)
+    assert len(str(refused.value)) < 2_000
+    assert all(line.isprintable() for line in str(refused.value).splitlines())
+
+
+def test_stored_metrics_are_what_a_file_may_name():
+    """The limits of lists leave room for all there is."""
+    names = ", ".join(f'"{name}"' for name in STORED)
+    assert planned(f"metrics = [{names}]\n" + AXES + "K0 = [1.0]")
