@@ -37,22 +37,22 @@ class Progress:
     """Told once before the first block and once after each that is on disk."""
 
     cells: int  # of the whole sweep
-    done: int  # cells in the store
+    done: int  # cells of finished blocks
     ran: int = 0  # cells done by this run
     diverged: int = 0  # among them
     seconds: float = 0.0  # since this run began
     set_aside: tuple[Row, ...] = ()  # blocks that this run could not compute
 
-    def after(self, row: Row, before: Row | None, seconds: float) -> "Progress":
-        """Once one more block is on disk, of which there may have been something `before`."""
+    def after(self, row: Row, cells: int, known: Row | None, seconds: float) -> "Progress":
+        """Once a block of `cells` is on disk, of which some were `known` before."""
         if row.outcome == SET_ASIDE:
             return replace(self, seconds=seconds, set_aside=(*self.set_aside, row))
-        diverged = row.diverged - (before.diverged if before else 0)
-        cells = row.ok - (before.ok if before else 0) + diverged
+        diverged = row.diverged - (known.diverged if known else 0)
+        ran = row.ok - (known.ok if known else 0) + diverged
         return replace(
             self,
             done=self.done + cells,
-            ran=self.ran + cells,
+            ran=self.ran + ran,
             diverged=self.diverged + diverged,
             seconds=seconds,
         )
@@ -113,13 +113,15 @@ def run(store: Store, tell: Tell, only: Collection[int] | None = None) -> Progre
     with changing(store) as (writer, owner):
         tally = Tally.of(store)
         pending = [i for i in tally.pending if only is None or i in only]
-        progress = Progress(grid.cells, tally.cells["ok"] + tally.cells["diverged"])
+        todo = sum(cells_of(grid.block(index)) for index in tally.pending)
+        progress = Progress(grid.cells, grid.cells - todo)
         tell(progress)
         # what its process was killed in may be what killed it, and comes last
         pending.sort(key=lambda index: index == owner.died_at)
         with closing(_committed(writer, owner, pending, tally.begun)) as committed:
             for row, when in committed:
-                progress = progress.after(row, tally.begun.get(row.block), when - began)
+                n, known = cells_of(grid.block(row.block)), tally.begun.get(row.block)
+                progress = progress.after(row, n, known, when - began)
                 tell(progress)
         if progress.done == grid.cells and "end" not in store.group.attrs:
             writer.ended()  # also where an interruption came just before this line

@@ -105,21 +105,8 @@ class Store:
         except LedgerError as error:
             raise self.damaged(f"{ledgers.NAME}: {error}") from None
         for one in fixed:
-            if not (intact(self.path / one.path, one.stamp) or self._lacks_its_end(one)):
+            if not as_written(self.path, one):
                 raise self.damaged(f"{one.path} is not as it was written")
-
-    def _lacks_its_end(self, one: Fixed) -> bool:
-        """Whether a kill came between the two notes of when the store was finished."""
-        if one.path != "zarr.json" or one.content is None:
-            return False
-        try:
-            noted, told = (
-                json.loads(text) for text in (one.content, (self.path / one.path).read_bytes())
-            )
-            noted["attributes"].pop("end", None)
-        except (ValueError, LookupError, TypeError, AttributeError):
-            return False
-        return bool(noted == told)
 
     def array(self, name: str) -> zarr.Array[Any]:
         """A variable on disk."""
@@ -233,6 +220,23 @@ def _is(
             and not (store.path / name).is_symlink()
         )
     except Exception:  # whatever zarr makes of somebody else's metadata
+        return False
+
+
+def as_written(path: Path, one: Fixed) -> bool:
+    """Whether a file outside the blocks is as it was written, but for what a kill may leave out.
+
+    When a store is finished the ledger is told first and its zarr.json next.
+    """
+    place = path / one.path
+    if intact(place, one.stamp):
+        return True
+    if one.path != "zarr.json" or one.content is None or place.is_symlink():
+        return False
+    try:
+        noted, told = json.loads(one.content), json.loads(place.read_bytes())
+        return bool(noted["attributes"].pop("end")) and noted == told
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return False
 
 

@@ -1,6 +1,5 @@
 """Whether a store is as it was written, file by file, and making it so again."""
 
-import json
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -15,7 +14,7 @@ from sweeps.ledger import Fixed, Ledger, LedgerError, Row, intact
 from sweeps.provenance import KEPT
 from sweeps.runner import Tell, run
 from sweeps.spec import SweepError
-from sweeps.store import Store, open_store
+from sweeps.store import Store, as_written, open_store
 
 OWN = {ledgers.NAME, f"{ledgers.NAME}-journal", ledgers.SEAL, owner.NAME}
 
@@ -60,7 +59,9 @@ def verify(path: Path) -> Report:
     rows, fixed = ledger.good()
     whole = not problems
     problems += [problem for one in fixed for problem in _wrong_fixed(path, one)]
-    if any(problem.what.endswith("zarr.json") for problem in problems):
+    links = [Problem(name, "is a link") for name in _folders(fixed) if (path / name).is_symlink()]
+    problems += links
+    if links or any(problem.what.endswith("zarr.json") for problem in problems):
         return Report(None, len(fixed), tuple(problems))
     store = open_store(path)
     problems += [problem for row in rows for problem in _wrong_block(store, row)]
@@ -83,11 +84,11 @@ def mend_frame(path: Path) -> None:
         root = next((one.content for one in fixed if one.path == "zarr.json"), None)
         if root is not None:
             _restore(path, "zarr.json", root)
+        for place in (path / name for name in _folders(fixed)):
+            if place.is_symlink() or place.is_file():
+                place.unlink()  # nothing is written through a link
         fresh = Path(folder) / "fresh"
         _lay_out_again(path, fresh)
-        for part in {(path / one.path).parent for one in Ledger(fresh / ledgers.NAME).fixed()}:
-            if part != path and (part.is_symlink() or part.is_file()):
-                part.unlink()  # nothing is written through a link
         for one in Ledger(fresh / ledgers.NAME).fixed():
             if one.path != "zarr.json" and not intact(path / one.path, one.stamp):
                 _restore(path, one.path, (fresh / one.path).read_bytes())
@@ -137,19 +138,8 @@ def _wrong_ledger(ledger: Ledger) -> Iterator[Problem]:
 
 
 def _wrong_fixed(path: Path, one: Fixed) -> Iterator[Problem]:
-    if not intact(path / one.path, one.stamp) and not _not_ended(path / one.path, one):
+    if not as_written(path, one):
         yield Problem(one.path, _how(path / one.path))
-
-
-def _not_ended(file: Path, one: Fixed) -> bool:
-    """Whether a record lacks its end only, which the ledger gets first: a kill came between."""
-    if one.path != "zarr.json" or one.content is None or file.is_symlink():
-        return False
-    try:
-        told, meant = json.loads(file.read_bytes()), json.loads(one.content)
-        return bool(meant["attributes"].pop("end")) and told == meant
-    except (OSError, ValueError, KeyError):
-        return False
 
 
 def _wrong_block(store: Store, row: Row) -> Iterator[Problem]:
@@ -172,18 +162,20 @@ def _lost(store: Store, rows: list[Row]) -> Iterator[Problem]:
 
 def _extra(store: Store, fixed: list[Fixed]) -> Iterator[Problem]:
     """Whatever is not part of the store. A block without a row is: it was under way."""
-    known = {one.path for one in fixed} | OWN
-    known |= {one.path.partition("/")[0] for one in fixed}
+    known = {one.path for one in fixed} | OWN | set(_folders(fixed))
     n = store.grid.n_blocks
     blocks = {store.file("status", index).name for index in range(n)}
     for file in sorted(store.path.glob("**/*")):
         name = file.relative_to(store.path)
         whole = file.with_name(file.name.removesuffix(durable.PARTIAL)).relative_to(store.path)
         ours = len(name.parts) == 2 and name.parts[0] in store.variables and whole.name in blocks
-        if file.is_symlink() and name.as_posix() in known:
-            yield Problem(name.as_posix(), "is a link")
-        elif not (whole.as_posix() in known or ours) or file.is_symlink():
+        if not (whole.as_posix() in known or ours):
             yield Problem(name.as_posix(), "is not part of the store", foreign=True)
+
+
+def _folders(fixed: list[Fixed]) -> list[str]:
+    """The folders of a store's arrays."""
+    return sorted({one.path.partition("/")[0] for one in fixed if "/" in one.path})
 
 
 def _how(file: Path) -> str:

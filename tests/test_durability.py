@@ -457,7 +457,7 @@ def repaired(path):
         verify.mend_frame(path)
         report = verify.verify(path)
     if report.bad_blocks:
-        _, other = verify.recompute(open_store(path), report.bad_blocks, lambda p: None)
+        other = verify.recompute(open_store(path), report.bad_blocks, lambda p: None)
         assert not other
     return report
 
