@@ -1,0 +1,1 @@
+"""`fic-sweep report`: what the paper claims, measured; what was found beyond it."""
