@@ -1,1 +1,1 @@
-"""`fic-sweep report`: what the paper claims, measured; what was found beyond it."""
+"""`fic-sweep report`: the paper's claims, measured, judged and written down."""

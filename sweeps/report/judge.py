@@ -1,0 +1,30 @@
+"""From findings to a verdict: computed, never typed in."""
+
+import numpy as np
+
+from sweeps.report.record import PRINTED, Claim, Findings, Judgement, Reading, Verdict
+
+
+def judge(claim: Claim, reading: Reading = PRINTED) -> Judgement:
+    """Measure a claim under a reading and say whether it holds.
+
+    It holds where every scenario that the paper speaks of is as claimed. Otherwise it holds under
+    the condition that covers most scenarios among those whose scenarios are all as claimed.
+    """
+    findings = claim.measure(reading)
+    verdict, words = verdict_of(findings)
+    printed = findings.conditions[0].where
+    score = float(np.mean(findings.good()[printed]))
+    return Judgement(claim, reading, findings, verdict, words, score)
+
+
+def verdict_of(findings: Findings) -> tuple[Verdict, str]:
+    """The verdict and the condition it is under; a condition that covers nothing never counts."""
+    good = findings.good()
+    first, *rest = findings.conditions
+    if first.where.any() and good[first.where].all():
+        return "holds", ""
+    kept = [c for c in rest if c.where.any() and good[c.where].all()]
+    if kept:
+        return "holds where", max(kept, key=lambda c: int(c.where.sum())).words
+    return "does not hold", ""
