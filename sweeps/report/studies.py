@@ -26,6 +26,11 @@ class Study:
     printed: np.ndarray  # [N] bool: at the reading's own period
     metrics: Metrics  # [N]
 
+    def column(self, name: str) -> np.ndarray:
+        """[N] values of a field, the paper's where the study does not set it."""
+        default = np.full(len(self.printed), getattr(Params(), name))
+        return self.params.get(name, default)
+
     def at_least_period(self) -> np.ndarray:
         """[N] bool: at the shortest period run."""
         period = self.params["period"]

@@ -52,7 +52,7 @@ def c2(reading: Reading) -> Findings:
     """Settling time of the welded study."""
     study = welded(reading)
     time = study.metrics.convergence_time
-    evidence = (_about("convergence time, s", time, 0.5),)
+    evidence = (about("convergence time, s", time, 0.5),)
     claimed = study.printed & (study.params["K0"] <= 10.0) & (study.params["Td"] <= 15.0)
     finest = study.at_least_period() & (study.params["K0"] <= 100.0) & (study.params["Td"] <= 15.0)
     numbers = {
@@ -68,7 +68,8 @@ def c2(reading: Reading) -> Findings:
     return Findings(study.names("K0", "Td"), evidence, study.conditions(parts(study)), key, numbers)
 
 
-def _about(quantity: str, values: np.ndarray, claimed: float) -> Evidence:
+def about(quantity: str, values: np.ndarray, claimed: float) -> Evidence:
+    """Evidence that values are about what is claimed, within the factor ABOUT."""
     good = (values >= claimed / ABOUT) & (values <= claimed * ABOUT)
     return Evidence(quantity, values, good, f"{claimed / ABOUT:.2g} to {claimed * ABOUT:.2g}")
 
