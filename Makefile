@@ -1,13 +1,14 @@
 # make sweep   run the paper sweeps and the small atlas; stores and pictures under results/
 # make test    lint, types and all tests
 # make picture remake the README's picture
+# make figures the paper's figures under results/figures/
 # make clean   remove the results, as after a change of the program; make distclean the environment too
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 SWEEPS := paper-welded paper-contact period-map atlas-small
 
-.PHONY: sweep test lint picture clean distclean
+.PHONY: sweep test lint picture figures clean distclean
 
 sweep: $(VENV)/installed
 	@mkdir -p results
@@ -30,6 +31,11 @@ lint: $(VENV)/installed
 picture:
 	@[ -e results/atlas-small.zarr ] || $(MAKE) sweep
 	$(BIN)/python -m figures.overview results --readme docs/overview.png
+
+figures: $(VENV)/installed
+	@echo "drawing the paper's figures ..."
+	@$(BIN)/python -m figures.paper
+	@ls results/figures/*.png
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "fic_jax needs Python 3.11 or newer; make PYTHON=...")'

@@ -1,0 +1,22 @@
+"""Every figure of the paper into results/figures: `python -m figures.paper`."""
+
+from figures.paper import (
+    attractor,
+    energy,
+    environments,
+    histories,
+    superposition,
+    welded_contact,
+)
+
+SCRIPTS = (attractor, energy, superposition, welded_contact, environments, histories)
+
+
+def main() -> None:
+    """Run all scripts."""
+    for script in SCRIPTS:
+        script.main()
+
+
+if __name__ == "__main__":
+    main()

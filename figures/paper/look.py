@@ -1,0 +1,47 @@
+"""What the paper's figures share: colours, line ends, labels, and where they are written."""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from matplotlib import colormaps
+from matplotlib.figure import Figure
+
+from fic_jax import QUANTITIES
+from figures import style
+
+# Okabe and Ito (2008): told apart by colour-blind readers, and in grey by their luminance.
+DIVERGENCE, CONVERGENCE, OLDER = "#0072B2", "#D55E00", "0.15"
+MORE, LESS = "#009E73", "#D55E00"  # green and red of Fig. 1a; a hatch tells them apart as well
+REFERENCE = "0.45"  # bounds and set values
+
+MARKERS = ("o", "s", "D", "^", "v")
+DASHES = ("-", "--", "-.", (0, (1, 1)), (0, (4, 1, 1, 1, 1, 1)))
+
+FOLDER = Path("results/figures")
+
+
+def ordered(n: int) -> list[tuple[float, float, float, float]]:
+    """Colours of n ordered values, dark to light, none too pale to print."""
+    shades = colormaps[style.SEQUENTIAL]
+    return [shades(0.85 * i / max(n - 1, 1)) for i in range(n)]
+
+
+def label(field: str) -> str:
+    """Symbol and unit of a field of Params, for an axis."""
+    return f"{style.SYMBOLS[field]} ({unit(field)})"
+
+
+def unit(field: str) -> str:
+    """Unit of a field of Params, for print."""
+    return style.units_text(QUANTITIES[field]["unit"])
+
+
+def values(field: str, numbers: Iterable[float]) -> list[str]:
+    """`symbol = value unit` for each of some values of a field."""
+    return [f"{style.SYMBOLS[field]} = {style.number(n)} {unit(field)}" for n in numbers]
+
+
+def write(figure: Figure, name: str) -> None:
+    """Save a figure of the paper under results/figures."""
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    style.save(figure, FOLDER / f"{name}.png")
