@@ -1,5 +1,7 @@
 """Phase portrait of the fractal attractor (Fig. 2a): an inertia that nothing else acts on."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import xarray as xr
@@ -7,7 +9,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fic_jax import Model, Params, rollout
+from fic_jax import Model, Params, init, rollout
 from figures import style
 from figures.paper import look
 
@@ -29,8 +31,8 @@ def simulate(
 
     def one(v: jax.Array) -> tuple[jax.Array, ...]:
         p = Params(Kenv=0.0, Denv=0.0, sigma=0.0, period=dt, v_init=v)
-        p = Params(**(vars(p) | {"x_init": p.xd + p.Td / p.K0}))
-        path = rollout(p, model=MODEL, dt=dt, n_steps=round(t_end / dt))
+        at_reference = replace(p, x_init=init(p, MODEL).memory.x_h)
+        path = rollout(at_reference, model=MODEL, dt=dt, n_steps=round(t_end / dt))
         return path.e, -path.v, path.diverging
 
     with jax.enable_x64(True):

@@ -98,7 +98,7 @@ def plot(data: Energies) -> Figure:
             _bounds(ax, data.params)
         turn = sign_change(data)
         below.plot(turn, 0.0, "o", color=look.OLDER, ms=2.5)
-        below.text(turn, 0.004, f"{turn:.3f} rad", fontsize=style.SMALL_SIZE)
+        below.text(turn, 0.006, f"{turn:.3f} rad", fontsize=style.SMALL_SIZE)
         fig.legend(
             *above.get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False
         )
@@ -115,7 +115,7 @@ def _lines(ax: Axes, data: Energies, base: Array) -> None:
         (data.older_limited, look.OLDER, "older law"),
         (data.limited, look.DIVERGENCE, "Algorithm 1"),
     ):
-        text = f"{law}, torque limited to {limit}"
+        text = f"{law}, limited to {limit}"
         ax.plot(data.e_M, curve - base, color=colour, lw=0.9, ls=(0, (1, 1.5)), label=text)
     for sign, colour, hatch, text in (
         (1, look.MORE, "", "Algorithm 1 releases more"),

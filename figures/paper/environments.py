@@ -18,7 +18,6 @@ from matplotlib.lines import Line2D
 from figures import style
 from figures.paper import look, studies
 
-GRIDS = {"Kenv": (50.0, 100.0, 500.0), "Denv": (0.0, 63.2, 189.7)}
 ESTIMATES = {  # rad, x_d -> what it is
     studies.GAP: "exact contact",
     studies.GAP + studies.ESTIMATE_ERROR: "1 % error, beyond the environment",
@@ -32,7 +31,7 @@ def simulate() -> tuple[xr.Dataset, ...]:
     """Both studies: K0 = 100, Td = 5 and what is not varied as in the paper."""
     return tuple(
         studies.metrics({"xd": tuple(ESTIMATES), field: values}, gap=studies.GAP)
-        for field, values in GRIDS.items()
+        for field, values in studies.ENVIRONMENTS.items()
     )
 
 

@@ -1,40 +1,28 @@
 """Torque, torque error and position over time: welded, contact, stiffness, damping (Fig. 6-9)."""
 
+from typing import Any
+
 import numpy as np
 import xarray as xr
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fic_jax import Model, Params
+from fic_jax import Model
 from figures import style
 from figures.paper import look, studies
 
-TORQUES = (1.0, 5.0, 20.0)  # N*m, those that the captions name
-GRID = {"Td": TORQUES, "K0": studies.STIFFNESSES}
-APPROACH = {"Td": (5.0,)}  # N*m
-SHOWN = (2.0, 98.0)  # percentiles of the torque errors that their row has to hold
-NAMES = {
-    "fig6-welded": "welded",
-    "fig7-contact": "contact",
-    "fig8-stiffness": "stiffness",
-    "fig9-damping": "damping",
+GRID = {"Td": (1.0, 5.0, 20.0), "K0": studies.STIFFNESSES}  # Td: those that the captions name
+APPROACH: dict[str, Any] = {"gap": studies.GAP, "xd": studies.GAP}
+STUDIES: dict[str, dict[str, Any]] = {
+    "fig6-welded": {"grid": GRID, "model": Model(contact="welded")},
+    "fig6-welded-1ms": {"grid": GRID, "model": Model(contact="welded"), "step": 0.001},
+    "fig7-contact": {"grid": GRID},
+    "fig7-contact-1ms": {"grid": GRID, "step": 0.001},
+    "fig8-stiffness": {"grid": {"Td": (5.0,), "Kenv": studies.ENVIRONMENTS["Kenv"]}} | APPROACH,
+    "fig9-damping": {"grid": {"Td": (5.0,), "Denv": studies.ENVIRONMENTS["Denv"]}} | APPROACH,
 }
-
-
-def simulate(name: str) -> xr.Dataset:
-    """One of the four studies: a column for each Td, a line for each value of its field."""
-    gap = studies.GAP
-    return {
-        "fig6-welded": lambda: studies.histories(GRID, model=Model(contact="welded")),
-        "fig7-contact": lambda: studies.histories(GRID),
-        "fig8-stiffness": lambda: studies.histories(
-            APPROACH | {"Kenv": (50.0, 100.0, 500.0)}, gap=gap, xd=gap
-        ),
-        "fig9-damping": lambda: studies.histories(
-            APPROACH | {"Denv": (0.0, 63.2, 189.7)}, gap=gap, xd=gap
-        ),
-    }[name]()
+SHOWN = (2.0, 98.0)  # percentiles of the torque errors that their row has to hold
 
 
 def plot(data: xr.Dataset) -> Figure:
@@ -56,6 +44,7 @@ def plot(data: xr.Dataset) -> Figure:
         for ax, text in zip(grid[:, 0], rows, strict=True):
             ax.set_ylabel(text)
         fig.align_ylabels()
+        fig.suptitle(studies.told_step(data))
         handles = grid[0, 0].get_legend_handles_labels()
         n = min(len(handles[0]), 3 if columns.size > 1 else 2)
         fig.legend(*handles, loc="outside upper center", ncols=n, frameon=False)
@@ -65,7 +54,7 @@ def plot(data: xr.Dataset) -> Figure:
 def _column(axes: np.ndarray, runs: xr.Dataset, field: str) -> None:
     torque, error, position = axes
     Td = float(runs["Td"])
-    Fmax, gap = (runs.attrs.get(name, getattr(Params(), name)) for name in ("Fmax", "gap"))
+    Fmax, gap = studies.PAPER.Fmax, runs.attrs.get("gap", studies.PAPER.gap)
     values = runs[field].values
     for value, text, colour, dashes in zip(
         values, look.values(field, values), look.ordered(values.size), look.DASHES, strict=False
@@ -86,16 +75,16 @@ def _column(axes: np.ndarray, runs: xr.Dataset, field: str) -> None:
 
 def _zoom(ax: Axes, error: np.ndarray) -> None:
     """Limit the axis to what lasts: a spike is drawn whole one row above."""
-    low, high = np.percentile(error, SHOWN)
+    low, high = np.percentile(error[np.isfinite(error)], SHOWN)
     low, high = min(low, 0.0), max(high, 0.0)
     margin = 0.15 * max(high - low, 1e-9)
     ax.set_ylim(low - margin, high + margin)
 
 
 def main() -> None:
-    """Simulate the four studies and write a figure of each."""
-    for name in NAMES:
-        look.write(plot(simulate(name)), name)
+    """Simulate the four studies, two at 1 ms as well, and write a figure of each."""
+    for name, study in STUDIES.items():
+        look.write(plot(studies.histories(**study)), name)
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ PAPER = Params()
 T_END = 10.0  # s, of every simulation of the paper
 PRINTED_STEP = 0.01  # s, the paper's ode4 step; Algorithm 2 ticks at each
 STIFFNESSES = (0.1, 1.0, 10.0, 100.0, 1000.0)  # N*m/rad, K0: text and captions together
+ENVIRONMENTS = {"Kenv": (50.0, 100.0, 500.0), "Denv": (0.0, 63.2, 189.7)}  # of the approach
 GAP = 0.5  # rad, where the environment of the approach begins
 ESTIMATE_ERROR = 0.001  # rad, the "1 % error" of Fig. 4: one hundredth of x0
 
@@ -53,6 +54,11 @@ def histories(
     torque, x = ((dims, run.reshape(shape)) for run in runs)
     coordinates = _coordinates(grid) | {"t": step * np.arange(1, n_steps + 1)}
     return xr.Dataset({"torque": torque, "x": x}, coordinates, constants | {"period": step})
+
+
+def told_step(data: xr.Dataset) -> str:
+    """The time step of a study, for its title."""
+    return f"plant step and control period {1000 * data.attrs['period']:g} ms"
 
 
 def _columns(grid: Grid) -> dict[str, np.ndarray]:

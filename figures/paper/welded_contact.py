@@ -52,7 +52,7 @@ def plot(data: xr.Dataset) -> Figure:
             ax.set_title(TITLES[contact])
         for ax in grid[-1]:
             ax.set_xlabel(look.label("Td"))
-        fig.suptitle(f"plant step and control period {1000 * data.attrs['period']:g} ms")
+        fig.suptitle(studies.told_step(data))
         fig.legend(handles=_legend(data), loc="outside right upper", frameon=False)
     return fig
 
