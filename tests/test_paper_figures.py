@@ -120,7 +120,9 @@ def test_fits_its_column_and_no_legend_covers_data(drawn, name):
     sheet, inked = figure.bbox_inches, figure.get_tightbbox()
     assert min(inked.x0, inked.y0) >= 0 and inked.x1 <= sheet.x1 and inked.y1 <= sheet.y1
     for legend in figure.legends:
-        assert not any(legend.get_window_extent().overlaps(ax.bbox) for ax in figure.axes)
+        others = [ax.bbox for ax in figure.axes]
+        others += [text.get_window_extent() for text in figure.texts]
+        assert not any(legend.get_window_extent().overlaps(other) for other in others)
     assert plt.get_fignums() == []
 
 

@@ -44,10 +44,10 @@ def plot(data: xr.Dataset) -> Figure:
         for ax, text in zip(grid[:, 0], rows, strict=True):
             ax.set_ylabel(text)
         fig.align_ylabels()
-        fig.suptitle(studies.told_step(data))
         handles = grid[0, 0].get_legend_handles_labels()
         n = min(len(handles[0]), 3 if columns.size > 1 else 2)
-        fig.legend(*handles, loc="outside upper center", ncols=n, frameon=False)
+        place: dict[str, Any] = {"loc": "outside upper center", "ncols": n, "frameon": False}
+        fig.legend(*handles, title=studies.told_step(data), **place)
     return fig
 
 
