@@ -1,4 +1,4 @@
-"""Phase portrait of the fractal attractor (Fig. 2a): an inertia that nothing else acts on."""
+"""Phase portrait of the fractal attractor (fig:0a): an inertia that nothing else acts on."""
 
 from dataclasses import replace
 
@@ -108,7 +108,7 @@ def _arrow(ax: Axes, e: np.ndarray, rate: np.ndarray, inside: np.ndarray, colour
 
 def main() -> None:
     """Simulate the paths and write the portrait."""
-    look.write(plot(simulate()), "fig2a-attractor")
+    look.write(plot(simulate()), "attractor")
 
 
 if __name__ == "__main__":

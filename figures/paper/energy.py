@@ -1,4 +1,4 @@
-"""Released versus absorbed energy (Fig. 1a): what Algorithm 1 gives back after a peak error."""
+"""Released versus absorbed energy (fig:1a): what Algorithm 1 gives back after a peak error."""
 
 from dataclasses import dataclass, replace
 
@@ -145,7 +145,7 @@ def _bounds(ax: Axes, p: Params) -> None:
 
 def main() -> None:
     """Compute the energies of the paper's profile and write the figure."""
-    look.write(plot(compute()), "fig1a-energy")
+    look.write(plot(compute()), "energy")
 
 
 if __name__ == "__main__":

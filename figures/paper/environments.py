@@ -1,7 +1,7 @@
-"""Normalised torque error after an approach from 0.5 rad (Fig. 5): over Kenv, over Denv.
+"""Normalised torque error after an approach from 0.5 rad (fig:5): over Kenv, over Denv.
 
 The paper sets its "1 % error" as x_d = 0.001 rad, one hundredth of x0, where the environment
-begins at 0 (Fig. 4), and does not repeat it for the approach. Drawn are both things it may be
+begins at 0 (fig:4), and does not repeat it for the approach. Drawn are both things it may be
 here: an expectation 0.001 rad beyond the environment, and x_d = 0.001 rad as it stands, which
 expects contact long before it is made.
 """
@@ -21,16 +21,16 @@ from figures.paper import look, studies
 ESTIMATES = {  # rad, x_d -> what it is
     studies.GAP: "exact contact",
     studies.GAP + studies.ESTIMATE_ERROR: "1 % error, beyond the environment",
-    studies.ESTIMATE_ERROR: "1 % error, as printed for Fig. 4",
+    studies.ESTIMATE_ERROR: "1 % error, as printed",
 }
 COLOURS = ("#0072B2", "#E69F00", "#CC79A7")  # Okabe and Ito, of the estimates
 METRICS = {"nmse": "whole run", "nmse_tail": "last 5 s"}
 
 
-def simulate() -> tuple[xr.Dataset, ...]:
+def simulate(step: float) -> tuple[xr.Dataset, ...]:
     """Both studies: K0 = 100, Td = 5 and what is not varied as in the paper."""
     return tuple(
-        studies.metrics({"xd": tuple(ESTIMATES), field: values}, gap=studies.GAP)
+        studies.metrics({"xd": tuple(ESTIMATES), field: values}, step=step, gap=studies.GAP)
         for field, values in studies.ENVIRONMENTS.items()
     )
 
@@ -43,7 +43,8 @@ def plot(data: tuple[xr.Dataset, ...]) -> Figure:
         for ax, study in zip(panels, data, strict=True):
             _draw(ax, study)
         panels[0].set(yscale="log", ylabel="normalised MSE")
-        fig.legend(handles=_legend(data[0]), loc="outside upper center", ncols=1, frameon=False)
+        place: dict[str, Any] = {"loc": "outside upper center", "ncols": 1, "frameon": False}
+        fig.legend(handles=_legend(data[0]), title=studies.told_step(data[0]), **place)
     return fig
 
 
@@ -82,8 +83,9 @@ def _legend(study: xr.Dataset) -> list[Line2D]:
 
 
 def main() -> None:
-    """Simulate both studies and write the figure."""
-    look.write(plot(simulate()), "fig5-environments")
+    """Simulate both studies at either step and write a figure of each."""
+    for ending, step in studies.STEPS.items():
+        look.write(plot(simulate(step)), "environments" + ending)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from figures import style
 
 # Okabe and Ito (2008): told apart by colour-blind readers, and in grey by their luminance.
 DIVERGENCE, CONVERGENCE, OLDER = "#0072B2", "#D55E00", "0.15"
-MORE, LESS = "#009E73", "#D55E00"  # green and red of Fig. 1a; a hatch tells them apart as well
+MORE, LESS = "#009E73", "#D55E00"  # green and red of fig:1a; a hatch tells them apart as well
 REFERENCE = "0.45"  # bounds and set values
 
 MARKERS = ("o", "s", "D", "^", "v")

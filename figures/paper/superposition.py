@@ -1,4 +1,4 @@
-"""Torque of both branches at the switch (Fig. 1b): Algorithm 1 beside the older law."""
+"""Torque of both branches at the switch (fig:1b): Algorithm 1 beside the older law."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -128,7 +128,7 @@ def _signed(jump: float) -> str:
 
 def main() -> None:
     """Compute the branches under both laws and write the figure."""
-    look.write(plot(tuple(compute(law) for law in TITLES)), "fig1b-superposition")
+    look.write(plot(tuple(compute(law) for law in TITLES)), "superposition")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Normalised torque error over K0 and Td (Fig. 4): welded beside hard stop."""
+"""Normalised torque error over K0 and Td (fig:4): welded beside hard stop."""
 
 from typing import Any
 
@@ -27,7 +27,7 @@ STATED = {
 SPREAD = 0.66  # of the distance between two Td, taken by the markers of one
 
 
-def simulate(step: float = studies.PRINTED_STEP) -> xr.Dataset:
+def simulate(step: float) -> xr.Dataset:
     """Both columns; `xd` 0 is the true distance of the environment, 0.001 rad the 1 % error."""
     estimates = (0.0, studies.ESTIMATE_ERROR)
     grid = {"xd": estimates, "K0": studies.STIFFNESSES, "Td": TORQUES}
@@ -106,9 +106,9 @@ def _legend(data: xr.Dataset) -> list[Line2D]:
 
 
 def main() -> None:
-    """Simulate both columns at the printed 10 ms and at 1 ms, and write a figure of each."""
-    look.write(plot(simulate()), "fig4-welded-contact")
-    look.write(plot(simulate(step=0.001)), "fig4-welded-contact-1ms")
+    """Simulate both columns at either step and write a figure of each."""
+    for ending, step in studies.STEPS.items():
+        look.write(plot(simulate(step)), "welded-contact" + ending)
 
 
 if __name__ == "__main__":
