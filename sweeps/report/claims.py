@@ -1,6 +1,6 @@
 """The paper's fifteen claims, and how each is judged."""
 
-from sweeps.report import contact, impact, welded
+from sweeps.report import attractor, contact, impact, stability, welded
 from sweeps.report.judge import judge
 from sweeps.report.record import PRINTED, Claim, Judgement, Reading
 
@@ -9,6 +9,8 @@ CLAIMS: tuple[Claim, ...] = (
     *contact.CLAIMS[:1],
     *impact.CLAIMS,
     *contact.CLAIMS[1:],
+    *attractor.CLAIMS,
+    *stability.CLAIMS,
 )
 
 __all__ = ["CLAIMS", "PRINTED", "Claim", "Judgement", "Reading", "judge"]

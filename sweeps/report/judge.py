@@ -2,14 +2,15 @@
 
 import numpy as np
 
-from sweeps.report.record import PRINTED, Claim, Findings, Judgement, Reading, Verdict
+from sweeps.report.record import PRINTED, Claim, Condition, Findings, Judgement, Reading, Verdict
 
 
 def judge(claim: Claim, reading: Reading = PRINTED) -> Judgement:
     """Measure a claim under a reading and say whether it holds.
 
     It holds where every scenario that the paper speaks of is as claimed. Otherwise it holds under
-    the condition that covers most scenarios among those whose scenarios are all as claimed.
+    the condition that covers most of them, among those whose scenarios are all as claimed, and
+    under one on other scenarios (another period) where that covers still more.
     """
     findings = claim.measure(reading)
     verdict, words = verdict_of(findings)
@@ -25,6 +26,15 @@ def verdict_of(findings: Findings) -> tuple[Verdict, str]:
     if first.where.any() and good[first.where].all():
         return "holds", ""
     kept = [c for c in rest if c.where.any() and good[c.where].all()]
-    if kept:
-        return "holds where", max(kept, key=lambda c: int(c.where.sum())).words
+    own = [c for c in kept if not (c.where & ~first.where).any()]
+    other = [c for c in kept if (c.where & ~first.where).any()]
+    widest = [max(part, key=_scenarios) for part in (own, other) if part]
+    if len(widest) == 2 and _scenarios(widest[1]) <= _scenarios(widest[0]):
+        widest.pop()
+    if widest:
+        return "holds where", ", or where ".join(c.words for c in widest)
     return "does not hold", ""
+
+
+def _scenarios(condition: Condition) -> int:
+    return int(condition.where.sum())
