@@ -1,6 +1,7 @@
 """Phase portrait of the fractal attractor (fig:0a): an inertia that nothing else acts on."""
 
 from dataclasses import replace
+from typing import Any
 
 import jax
 import numpy as np
@@ -16,11 +17,12 @@ from figures.paper import look
 ENERGIES = (0.125, 0.7, 1.25, 2.0, 2.75, 3.4, 4.5)  # J, kinetic, on passing the reference
 LARGEST_PEAK = 0.3  # rad; paths beyond are omitted, as in the paper
 NEAR = {"xlim": (-0.004, 0.034), "ylim": (-0.17, 0.02)}  # rad, rad/s: the last steps home
+HEAD = 0.4  # of a branch's length, where its arrow stands
 MODEL = Model(contact="welded", integrator="rk4_events")  # a weld to nothing: Kenv = Denv = 0
 
 
 def simulate(
-    energies: tuple[float, ...] = ENERGIES, dt: float = 0.001, t_end: float = 4.0
+    energies: tuple[float, ...] = ENERGIES, dt: float = 0.002, t_end: float = 4.0
 ) -> xr.Dataset:
     """Paths that leave the reference with either sign and each energy, in float64.
 
@@ -49,7 +51,7 @@ def plot(data: xr.Dataset) -> Figure:
     with rc_context(style.RC):
         fig = Figure(figsize=(style.COLUMN_WIDTH, 3.0))
         ax = fig.subplots()
-        near = ax.inset_axes((0.66, 0.02, 0.34, 0.22))
+        near = _inset(ax)
         for i in range(shown.sizes["path"]):
             for panel in (ax, near):
                 _draw(panel, shown.isel(path=i), first=i == 0, heads=panel is ax)
@@ -57,17 +59,23 @@ def plot(data: xr.Dataset) -> Figure:
             panel.plot(0, 0, "o", color="black", ms=2.5, zorder=4)
         ax.set(xlim=(-0.33, 0.33), ylim=(-1.05, 1.05))
         ax.set(xlabel=r"$\tilde{x}$ (rad)", ylabel=r"$\dot{\tilde{x}}$ (rad/s)")
-        near.set(**NEAR, xticks=[0, 0.02], yticks=[0, -0.1])
-        near.tick_params(labelsize=style.SMALL_SIZE - 1, pad=1, labeltop=True, labelbottom=False)
-        near.tick_params(top=True, bottom=False, right=True, left=False)
-        near.tick_params(axis="y", labelright=True, labelleft=False)
-        near.spines[:].set_visible(True)
-        ax.indicate_inset_zoom(near, edgecolor="0.5", lw=0.5)
         _bounds(ax)
-        fig.legend(
-            *ax.get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False
-        )
+        place: dict[str, Any] = {"loc": "outside upper center", "ncols": 2, "frameon": False}
+        fig.legend(*ax.get_legend_handles_labels(), **place)
     return fig
+
+
+def _inset(ax: Axes) -> Axes:
+    """An enlargement of the last steps home, in the corner that no path enters."""
+    near = ax.inset_axes((0.66, 0.02, 0.34, 0.22))
+    near.set(**NEAR, yticks=[0, -0.1])
+    near.set_xticks([0, 0.02], ["0", "0.02"])
+    near.tick_params(labelsize=style.SMALL_SIZE - 1, pad=1, labeltop=True, labelbottom=False)
+    near.tick_params(top=True, bottom=False, right=True, left=False)
+    near.tick_params(axis="y", labelright=True, labelleft=False)
+    near.spines[:].set_visible(True)
+    ax.indicate_inset_zoom(near, edgecolor="0.5", lw=0.5)
+    return near
 
 
 def _bounds(ax: Axes) -> None:
@@ -95,15 +103,13 @@ def _draw(ax: Axes, path: xr.Dataset, first: bool, heads: bool) -> None:
 
 
 def _arrow(ax: Axes, e: np.ndarray, rate: np.ndarray, inside: np.ndarray, colour: str) -> None:
-    """A head in the middle of the first stretch of a branch."""
-    stretch = np.flatnonzero(inside)
-    if not stretch.size:
+    """A head on a branch, at a share of the length drawn."""
+    length = np.cumsum(np.where(inside[1:], np.hypot(np.diff(e), np.diff(rate)), 0.0))
+    if length[-1] == 0.0:
         return
-    ends = np.flatnonzero(np.diff(stretch) > 1)
-    middle = stretch[(ends[0] if ends.size else stretch.size - 1) // 2]
+    at = int(np.searchsorted(length, HEAD * length[-1]))
     tip = {"arrowstyle": "-|>", "color": colour, "lw": 0, "mutation_scale": 7}
-    a, b = middle, min(middle + 1, e.size - 1)
-    ax.annotate("", (e[b], rate[b]), (e[a], rate[a]), arrowprops=tip)
+    ax.annotate("", (e[at + 1], rate[at + 1]), (e[at], rate[at]), arrowprops=tip)
 
 
 def main() -> None:
