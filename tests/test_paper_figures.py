@@ -18,6 +18,7 @@ from figures.paper import (
     environments,
     histories,
     look,
+    profile,
     studies,
     superposition,
     welded_contact,
@@ -74,6 +75,7 @@ def balance():
 def drawn(laws, balance):
     """Every script's figure of small data."""
     return {
+        "profile": profile.plot(profile.compute(n=601)),
         "attractor": attractor.plot(portrait([0.1, -0.2, 0.3])),
         "energy": energies.plot(balance),
         "superposition": superposition.plot(tuple(laws.values())),
@@ -85,6 +87,7 @@ def drawn(laws, balance):
 
 
 LABELS = {
+    "profile": (r"error $|\tilde{x}|$ (rad)", "torque $F_K$ (N·m)"),
     "attractor": (r"$\tilde{x}$ (rad)", r"$\dot{\tilde{x}}$ (rad/s)"),
     "energy": (r"peak error $|\tilde{x}_{Max}|$ (rad)", "energy (J)"),
     "superposition": (r"$\tilde{x}$ (rad)", "controller torque $h_e$ (N·m)"),
@@ -94,6 +97,7 @@ LABELS = {
     "approach": ("$t$ (s)", "torque $T$ (N·m)"),
 }
 N_PANELS = {
+    "profile": 2,
     "attractor": 1,
     "energy": 2,
     "superposition": 2,
@@ -149,6 +153,18 @@ def test_studies_label_their_grid(monkeypatch):
     assert float(metrics["nmse"].sel(cell)) == pytest.approx(float(alone.nmse), rel=1e-12)
     np.testing.assert_allclose(runs["torque"].sel(cell), motion.tau_env, rtol=1e-12)
     np.testing.assert_allclose(runs["t"], motion.t, rtol=1e-12)
+
+
+def test_profile_saturates_before_xb(drawn):
+    """b ln(1000 |dF|/Fmax) beyond x0: 0.1043 rad at the latest, for K0 = 1000."""
+    whole, near = drawn["profile"].axes
+    assert near.get_yscale() == "log" and near.get_xlim() == (0.099, 0.111)
+    curves = [line for line in near.lines if len(line.get_xdata()) == 601]
+    last = [line.get_xdata()[line.get_ydata() > profile.STATED].max() for line in curves]
+    # at most a node of 0.25 mrad short of it
+    expected = 0.1 + 5e-4 * np.log(1e3 * np.abs(15.0 - 0.1 * np.array(studies.STIFFNESSES)) / 15.0)
+    np.testing.assert_allclose(last, expected, atol=2.5e-4)
+    assert whole.lines[3].get_ydata()[400] == pytest.approx(10.0)  # K0 x0 for K0 = 100
 
 
 def test_portrait_omits_paths_beyond_the_largest_peak():

@@ -5,11 +5,12 @@ from figures.paper import (
     energy,
     environments,
     histories,
+    profile,
     superposition,
     welded_contact,
 )
 
-SCRIPTS = (attractor, energy, superposition, welded_contact, environments, histories)
+SCRIPTS = (profile, attractor, energy, superposition, welded_contact, environments, histories)
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from fic_jax import Model, Params, init, rollout
 from figures import style
-from figures.paper import look
+from figures.paper import look, studies
 
 ENERGIES = (0.125, 0.7, 1.25, 2.0, 2.75, 3.4, 4.5)  # J, kinetic, on passing the reference
 LARGEST_PEAK = 0.3  # rad; paths beyond are omitted, as in the paper
@@ -29,7 +29,7 @@ def simulate(
     sigma = 0 keeps the reference of Algorithm 2 at Td/K0.
     """
     signed = np.array([s * E for E in energies for s in (1.0, -1.0)])
-    inertia = Params().I
+    inertia = studies.PAPER.I
 
     def one(v: jax.Array) -> tuple[jax.Array, ...]:
         p = Params(Kenv=0.0, Denv=0.0, sigma=0.0, period=dt, v_init=v)
@@ -59,7 +59,7 @@ def plot(data: xr.Dataset) -> Figure:
             panel.plot(0, 0, "o", color="black", ms=2.5, zorder=4)
         ax.set(xlim=(-0.33, 0.33), ylim=(-1.05, 1.05))
         ax.set(xlabel=r"$\tilde{x}$ (rad)", ylabel=r"$\dot{\tilde{x}}$ (rad/s)")
-        _bounds(ax)
+        look.mark_bounds(ax, studies.PAPER, sides=(-1, 1))
         place: dict[str, Any] = {"loc": "outside upper center", "ncols": 2, "frameon": False}
         fig.legend(*ax.get_legend_handles_labels(), **place)
     return fig
@@ -76,16 +76,6 @@ def _inset(ax: Axes) -> Axes:
     near.spines[:].set_visible(True)
     ax.indicate_inset_zoom(near, edgecolor="0.5", lw=0.5)
     return near
-
-
-def _bounds(ax: Axes) -> None:
-    """x0 and xb on either side, named on the right."""
-    for field, align in (("x0", "right"), ("xb", "left")):
-        at = getattr(Params(), field)
-        for side in (-1, 1):
-            ax.axvline(side * at, color="0.8", lw=0.5, zorder=0)
-        top = ax.get_xaxis_transform()
-        ax.text(at, 1.0, style.SYMBOLS[field], ha=align, va="bottom", transform=top)
 
 
 def _draw(ax: Axes, path: xr.Dataset, first: bool, heads: bool) -> None:

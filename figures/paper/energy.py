@@ -95,7 +95,7 @@ def plot(data: Energies) -> Figure:
         below.set(**NEAR, ylabel="released − absorbed (J)")
         for ax in (above, below):
             ax.set_xlabel(r"peak error $|\tilde{x}_{Max}|$ (rad)")
-            _bounds(ax, data.params)
+            look.mark_bounds(ax, data.params)
         turn = sign_change(data)
         below.plot(turn, 0.0, "o", color=look.OLDER, ms=2.5)
         below.text(turn, 0.006, f"{turn:.3f} rad", fontsize=style.SMALL_SIZE)
@@ -132,15 +132,6 @@ def _lines(ax: Axes, data: Energies, base: Array) -> None:
             lw=0,
             label=text,
         )
-
-
-def _bounds(ax: Axes, p: Params) -> None:
-    """x0 and xb, as lines and by name."""
-    for field, align in (("x0", "right"), ("xb", "left")):
-        at = float(getattr(p, field))
-        ax.axvline(at, color="0.75", lw=0.5, zorder=0)
-        place = ax.get_xaxis_transform()
-        ax.text(at, 1.0, style.SYMBOLS[field], ha=align, va="bottom", transform=place)
 
 
 def main() -> None:

@@ -85,7 +85,7 @@ def _legend(study: xr.Dataset) -> list[Line2D]:
 def main() -> None:
     """Simulate both studies at either step and write a figure of each."""
     for ending, step in studies.STEPS.items():
-        look.write(plot(simulate(step)), "environments" + ending)
+        look.write(plot(simulate(step)), "mse_impact" + ending)
 
 
 if __name__ == "__main__":

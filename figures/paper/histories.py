@@ -15,10 +15,10 @@ from figures.paper import look, studies
 GRID = {"Td": (1.0, 5.0, 20.0), "K0": studies.STIFFNESSES}  # Td: those that the captions name
 APPROACH: dict[str, Any] = {"gap": studies.GAP, "xd": studies.GAP}
 STUDIES: dict[str, dict[str, Any]] = {
-    "history-welded": {"grid": GRID, "model": Model(contact="welded")},
-    "history-contact": {"grid": GRID},
-    "history-stiffness": {"grid": {"Td": (5.0,), "Kenv": studies.ENVIRONMENTS["Kenv"]}} | APPROACH,
-    "history-damping": {"grid": {"Td": (5.0,), "Denv": studies.ENVIRONMENTS["Denv"]}} | APPROACH,
+    "history_welded": {"grid": GRID, "model": Model(contact="welded")},
+    "history_contact": {"grid": GRID},
+    "history_stiffness": {"grid": {"Td": (5.0,), "Kenv": studies.ENVIRONMENTS["Kenv"]}} | APPROACH,
+    "history_damping": {"grid": {"Td": (5.0,), "Denv": studies.ENVIRONMENTS["Denv"]}} | APPROACH,
 }
 SHOWN = (2.0, 98.0)  # percentiles of the torque errors that their row has to hold
 

@@ -4,9 +4,10 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fic_jax import QUANTITIES
+from fic_jax import QUANTITIES, Params
 from figures import style
 
 # Okabe and Ito (2008): told apart by colour-blind readers, and in grey by their luminance.
@@ -18,6 +19,15 @@ MARKERS = ("o", "s", "D", "^", "v")
 DASHES = ("-", "--", "-.", (0, (1, 1)), (0, (4, 1, 1, 1, 1, 1)))
 
 FOLDER = Path("results/figures")
+
+
+def mark_bounds(ax: Axes, p: Params, sides: tuple[int, ...] = (1,)) -> None:
+    """x0 and xb as thin lines, named above the axes."""
+    for field, align in (("x0", "right"), ("xb", "left")):
+        for side in sides:
+            ax.axvline(side * float(getattr(p, field)), color="0.8", lw=0.5, zorder=0)
+        at, top = float(getattr(p, field)), ax.get_xaxis_transform()
+        ax.text(at, 1.0, style.SYMBOLS[field], ha=align, va="bottom", transform=top)
 
 
 def ordered(n: int) -> list[tuple[float, float, float, float]]:

@@ -14,7 +14,7 @@ T_END = 10.0  # s, of every simulation of the paper
 PRINTED_STEP = 0.01  # s, the paper's ode4 step; Algorithm 2 ticks at each
 # s, by the ending of a picture's name: every study is drawn at the step the paper prints, and at
 # one where Algorithm 2, an integrator of gain sigma/(period K0), is ten times as quick.
-STEPS = {"": PRINTED_STEP, "-1ms": 0.001}
+STEPS = {"": PRINTED_STEP, "_1ms": 0.001}
 STIFFNESSES = (0.1, 1.0, 10.0, 100.0, 1000.0)  # N*m/rad, K0: text and captions together
 ENVIRONMENTS = {"Kenv": (50.0, 100.0, 500.0), "Denv": (0.0, 63.2, 189.7)}  # of the approach
 GAP = 0.5  # rad, where the environment of the approach begins

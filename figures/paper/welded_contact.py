@@ -108,7 +108,7 @@ def _legend(data: xr.Dataset) -> list[Line2D]:
 def main() -> None:
     """Simulate both columns at either step and write a figure of each."""
     for ending, step in studies.STEPS.items():
-        look.write(plot(simulate(step)), "welded-contact" + ending)
+        look.write(plot(simulate(step)), "mse_contact" + ending)
 
 
 if __name__ == "__main__":
