@@ -1,7 +1,7 @@
 """A run whose steps the solver chooses: Algorithms 1 and 2 once per accepted step.
 
-What happens to a recursion without a period of its own in a variable-step simulation, as the paper's
-of contact (ode23t). Simulink's default step limit is the simulated time over 50.
+What happens to a recursion without a period of its own in a variable-step simulation, as the
+paper's of contact (ode23t). Simulink's default step limit is the simulated time over 50.
 """
 
 from collections.abc import Iterator
@@ -40,6 +40,14 @@ class Steps:
         t = np.union1d(self.t[self.t > T_END / 2], T_END / 2)
         eps = np.interp(t, self.t, self.tau_env) / Td - 1.0
         return float(np.trapezoid(eps**2, t) / (t[-1] - t[0]))
+
+    def highest_in_tail(self) -> float:
+        """Largest torque over the second half, N*m."""
+        return float(self.tau_env[self.t > T_END / 2].max())
+
+    def rise_in_tail(self) -> float:
+        """By how much the torque rises over the second half, N*m."""
+        return float(self.tau_env[-1] - np.interp(T_END / 2, self.t, self.tau_env))
 
 
 def accepted_steps(p: Params, solver: type[OdeSolver], limit: float = LIMIT) -> Steps:

@@ -105,8 +105,8 @@ def resting(p: Params, branch: str) -> Loop:
 def _loops(p: Params, branch: str) -> Loop:
     with jax.enable_x64(True):
         batch = _columns(p)
-        parts = [np.asarray(part) for part in _linearised(batch, branch)]
-    return Loop(*parts, period=np.asarray(batch.period), Td=np.asarray(batch.Td))
+        motion, tick, row, start = (np.asarray(part) for part in _linearised(batch, branch))
+    return Loop(motion, tick, row, start, np.asarray(batch.period), np.asarray(batch.Td))
 
 
 def _columns(p: Params) -> Params:
