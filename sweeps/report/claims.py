@@ -1,8 +1,11 @@
 """The paper's fifteen claims, and how each is judged."""
 
+from collections.abc import Sequence
+
 from sweeps.report import attractor, contact, impact, stability, welded
 from sweeps.report.judge import judge
 from sweeps.report.record import PRINTED, Claim, Judgement, Reading
+from sweeps.spec import SweepError
 
 CLAIMS: tuple[Claim, ...] = (
     *welded.CLAIMS,
@@ -13,4 +16,13 @@ CLAIMS: tuple[Claim, ...] = (
     *stability.CLAIMS,
 )
 
-__all__ = ["CLAIMS", "PRINTED", "Claim", "Judgement", "Reading", "judge"]
+__all__ = ["CLAIMS", "PRINTED", "Claim", "Judgement", "Reading", "chosen", "judge"]
+
+
+def chosen(ids: Sequence[str]) -> list[Claim]:
+    """The claims of these names, all if there are none. Raises SweepError for an unknown one."""
+    known = {claim.id: claim for claim in CLAIMS}
+    for name in ids:
+        if name.upper() not in known:
+            raise SweepError(f"--only {name}: is no claim; there are {', '.join(known)}")
+    return [known[name.upper()] for name in dict.fromkeys(ids or known)]

@@ -1,0 +1,122 @@
+"""What stands on a report's page, before it is Markdown or HTML: records and tables of text."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sweeps.report.record import Condition, Findings, Judgement, Section
+
+MOST_ROWS = 30  # of a table of scenarios
+
+INTRODUCTION = (
+    "The claims of Tiseo et al., Bio-mimetic Adaptive Force/Position Control Using Fractal "
+    "Impedance (2020), held against simulations of the equations and algorithms as printed. Each "
+    "verdict is computed from the numbers beside it. Quantities are in N, m, rad, s and kg; K0, "
+    "Td, Fmax, ... are the paper's symbols; nmse is the mean of ((T - Td)/min(Td, Fmax))^2. The "
+    "printed reading has a plant step and a control period of 10 ms, the step that the paper "
+    "names; the paper gives no control period."
+)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Texts in rows below a header."""
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+@dataclass(frozen=True)
+class Page:
+    """A whole report. Pictures are named by their stems."""
+
+    judgements: Sequence[Judgement]
+    sections: Sequence[Section]
+    provenance: Mapping[str, str]
+    pictures: Sequence[str]  # stems of those that were drawn
+
+    def picture(self, stem: str) -> bool:
+        """Whether there is a picture of this name."""
+        return stem in self.pictures
+
+
+def claims_table(page: Page) -> Table:
+    """One row for each claim."""
+    rows = [
+        (j.claim.id, j.claim.title, j.words, f"{100 * j.score:.0f} %", j.key)
+        for j in page.judgements
+    ]
+    return Table(("", "claim", "verdict", "scenarios as claimed", "measured"), rows)
+
+
+def conditions_table(findings: Findings) -> Table:
+    """How much of each condition is as claimed, and the range of every quantity there.
+
+    Of scenarios beyond the printed reading (other periods) only what is as claimed in full, and
+    the whole of each.
+    """
+    shown = [c for c in findings.conditions if c.where.any() and _shown(c, findings)]
+    header = (
+        "where",
+        "scenarios",
+        "as claimed",
+        *(_titled(e.quantity, e.bound) for e in findings.evidence),
+    )
+    good = findings.good()
+    rows = [
+        (
+            condition.words or "everywhere",
+            str(int(condition.where.sum())),
+            str(int(good[condition.where].sum())),
+            *(_range(e.values[condition.where]) for e in findings.evidence),
+        )
+        for condition in shown
+    ]
+    return Table(header, rows)
+
+
+def _shown(condition: Condition, findings: Findings) -> bool:
+    printed, good = findings.conditions[0].where, findings.good()
+    beyond = bool((condition.where & ~printed).any())
+    whole = " and " not in condition.words
+    return not beyond or whole or bool(good[condition.where].all())
+
+
+def scenarios_table(findings: Findings) -> tuple[str, Table]:
+    """Every scenario that the paper speaks of, or, of many, those that are not as claimed."""
+    printed, good = findings.conditions[0].where, findings.good()
+    title, chosen = "Every scenario", np.flatnonzero(printed)
+    if len(chosen) > MOST_ROWS:
+        chosen = np.flatnonzero(printed & ~good)
+        title = f"Scenarios that are not as claimed, {len(chosen)} of {int(printed.sum())}"
+        if len(chosen) > MOST_ROWS:
+            title, chosen = f"{title}: the first {MOST_ROWS}", chosen[:MOST_ROWS]
+    header = ("scenario", *(_titled(e.quantity, e.bound) for e in findings.evidence), "as claimed")
+    rows = [
+        (
+            findings.scenarios[i],
+            *(number(e.values[i]) for e in findings.evidence),
+            "yes" if good[i] else "no",
+        )
+        for i in chosen
+    ]
+    return title, Table(header, rows)
+
+
+def _titled(quantity: str, bound: str) -> str:
+    return f"{quantity} ({bound})"
+
+
+def number(value: float) -> str:
+    """Three digits, as 0.00152 or 1.5e-6."""
+    if np.isinf(value):
+        return "never" if value > 0 else "-inf"
+    text = f"{value:.3g}"
+    mantissa, exponent, power = text.partition("e")
+    return f"{mantissa}e{int(power)}" if exponent else text
+
+
+def _range(values: np.ndarray) -> str:
+    low, high = number(np.min(values)), number(np.max(values))
+    return low if low == high else f"{low} to {high}"
