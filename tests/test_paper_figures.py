@@ -130,13 +130,11 @@ def test_fits_its_column_and_no_legend_covers_data(drawn, name):
     assert plt.get_fignums() == []
 
 
-def test_one_command_draws_every_script():
-    scripts = {
-        import_module(f"figures.paper.{m.name}")
-        for m in pkgutil.iter_modules(figures.paper.__path__)
-        if m.name != "__main__"
-    }
-    assert {module for module in scripts if hasattr(module, "plot")} == set(SCRIPTS)
+def test_one_command_draws_every_script(tmp_path):
+    names = [m.name for m in pkgutil.iter_modules(figures.paper.__path__) if m.name != "__main__"]
+    scripts = [import_module(f"figures.paper.{name}") for name in names]
+    assert {script for script in scripts if hasattr(script, "plot")} == set(SCRIPTS)
+    assert profile.main(tmp_path) == ["profile"] and (tmp_path / "profile.png").stat().st_size > 0
 
 
 def test_studies_label_their_grid(monkeypatch):

@@ -1,6 +1,7 @@
 """Phase portrait of the fractal attractor (fig:0a): an inertia that nothing else acts on."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -39,7 +40,7 @@ def simulate(
 
     with jax.enable_x64(True):
         start = np.sign(signed) * np.sqrt(2.0 * np.abs(signed) / inertia)
-        e, rate, diverging = (np.asarray(a) for a in jax.vmap(one)(start))
+        e, rate, diverging = (np.asarray(a) for a in jax.jit(jax.vmap(one))(start))
     dims = ("path", "t")
     runs = {"e": (dims, e), "rate": (dims, rate), "diverging": (dims, diverging)}
     return xr.Dataset(runs, {"energy": ("path", np.abs(signed))})
@@ -102,9 +103,9 @@ def _arrow(ax: Axes, e: np.ndarray, rate: np.ndarray, inside: np.ndarray, colour
     ax.annotate("", (e[at + 1], rate[at + 1]), (e[at], rate[at]), arrowprops=tip)
 
 
-def main() -> None:
+def main(folder: Path = look.FOLDER) -> list[str]:
     """Simulate the paths and write the portrait."""
-    look.write(plot(simulate()), "attractor")
+    return [look.write(plot(simulate()), folder, "attractor")]
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Released versus absorbed energy (fig:1a): what Algorithm 1 gives back after a peak error."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -134,9 +135,9 @@ def _lines(ax: Axes, data: Energies, base: Array) -> None:
         )
 
 
-def main() -> None:
+def main(folder: Path = look.FOLDER) -> list[str]:
     """Compute the energies of the paper's profile and write the figure."""
-    look.write(plot(compute()), "energy")
+    return [look.write(plot(compute()), folder, "energy")]
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ here: an expectation 0.001 rad beyond the environment, and x_d = 0.001 rad as it
 expects contact long before it is made.
 """
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -82,10 +83,12 @@ def _legend(study: xr.Dataset) -> list[Line2D]:
     return estimates + kinds
 
 
-def main() -> None:
+def main(folder: Path = look.FOLDER) -> list[str]:
     """Simulate both studies at either step and write a figure of each."""
-    for ending, step in studies.STEPS.items():
-        look.write(plot(simulate(step)), "mse_impact" + ending)
+    return [
+        look.write(plot(simulate(step)), folder, "mse_impact" + ending)
+        for ending, step in studies.STEPS.items()
+    ]
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """Torque, torque error and position over time: welded, contact, stiffness, damping (fig:6-9)."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -79,11 +80,13 @@ def _zoom(ax: Axes, error: np.ndarray) -> None:
     ax.set_ylim(low - margin, high + margin)
 
 
-def main() -> None:
+def main(folder: Path = look.FOLDER) -> list[str]:
     """Simulate the four studies at either step and write a figure of each."""
-    for name, study in STUDIES.items():
-        for ending, step in studies.STEPS.items():
-            look.write(plot(studies.histories(**study, step=step)), name + ending)
+    return [
+        look.write(plot(studies.histories(**study, step=step)), folder, name + ending)
+        for name, study in STUDIES.items()
+        for ending, step in studies.STEPS.items()
+    ]
 
 
 if __name__ == "__main__":

@@ -51,7 +51,8 @@ def values(field: str, numbers: Iterable[float]) -> list[str]:
     return [f"{style.SYMBOLS[field]} = {style.number(n)} {unit(field)}" for n in numbers]
 
 
-def write(figure: Figure, name: str) -> None:
-    """Save a figure of the paper under results/figures."""
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    style.save(figure, FOLDER / f"{name}.png")
+def write(figure: Figure, folder: Path, name: str) -> str:
+    """Save a figure as a PNG in a folder; returns its name."""
+    folder.mkdir(parents=True, exist_ok=True)
+    style.save(figure, folder / f"{name}.png")
+    return name

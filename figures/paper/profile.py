@@ -1,6 +1,7 @@
 """The force profile and how soon it saturates (eq. 1): 99.9 % of Fmax before xb."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -53,9 +54,9 @@ def plot(data: xr.Dataset, params: Params = studies.PAPER) -> Figure:
     return fig
 
 
-def main() -> None:
+def main(folder: Path = look.FOLDER) -> list[str]:
     """Compute the profiles and write the figure."""
-    look.write(plot(compute()), "profile")
+    return [look.write(plot(compute()), folder, "profile")]
 
 
 if __name__ == "__main__":

@@ -51,7 +51,7 @@ def histories(
         return motion.tau_env, motion.x
 
     with jax.enable_x64(True):
-        runs = [np.asarray(a) for a in jax.vmap(one)(_columns(grid))]
+        runs = [np.asarray(a) for a in jax.jit(jax.vmap(one))(_columns(grid))]
     shape = (*(len(values) for values in grid.values()), n_steps)
     dims = (*grid, "t")
     torque, x = ((dims, run.reshape(shape)) for run in runs)

@@ -1,6 +1,7 @@
 """Torque of both branches at the switch (fig:1b): Algorithm 1 beside the older law."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -126,9 +127,9 @@ def _signed(jump: float) -> str:
     return f"{jump:+.1f} N·m".replace("-", "−")
 
 
-def main() -> None:
+def main(folder: Path = look.FOLDER) -> list[str]:
     """Compute the branches under both laws and write the figure."""
-    look.write(plot(tuple(compute(law) for law in TITLES)), "superposition")
+    return [look.write(plot(tuple(compute(law) for law in TITLES)), folder, "superposition")]
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """Normalised torque error over K0 and Td (fig:4): welded beside hard stop."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -105,10 +106,12 @@ def _legend(data: xr.Dataset) -> list[Line2D]:
     return [*lines, Line2D([], [], label="stated in the text", **dashes)]
 
 
-def main() -> None:
+def main(folder: Path = look.FOLDER) -> list[str]:
     """Simulate both columns at either step and write a figure of each."""
-    for ending, step in studies.STEPS.items():
-        look.write(plot(simulate(step)), "mse_contact" + ending)
+    return [
+        look.write(plot(simulate(step)), folder, "mse_contact" + ending)
+        for ending, step in studies.STEPS.items()
+    ]
 
 
 if __name__ == "__main__":
