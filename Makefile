@@ -1,7 +1,7 @@
 # make sweep   run the paper sweeps and the small atlas; stores and pictures under results/
 # make test    lint, types and all tests
 # make picture remake the README's picture
-# make figures the paper's figures under results/figures/
+# make figures the paper's figures, and those of a report that has run, under results/figures/
 # make clean   remove the results, as after a change of the program; make distclean the environment too
 PYTHON ?= python3
 VENV := .venv
@@ -35,6 +35,10 @@ picture:
 figures: $(VENV)/installed
 	@echo "drawing the paper's figures ..."
 	@$(BIN)/python -m figures.paper
+	@# the findings beyond the paper, from the data that fic-sweep report has kept
+	@for data in $(wildcard results/figures/*.nc); do \
+	  $(BIN)/python -m figures.$$(basename $$data .nc) results/figures || exit $$?; \
+	done
 	@ls results/figures/*.png
 
 $(VENV)/installed: pyproject.toml constraints.txt

@@ -22,6 +22,7 @@ PEAKS = (0.06, 0.11, 0.2)  # rad: before x0, at xb, where the older law asks for
 NODES = 2001  # samples of a branch; a jump at x0 is drawn within one of them
 LEAST_JUMP = 0.05  # N*m; less prints as nothing
 NOTE: dict[str, Any] = {"textcoords": "offset points", "fontsize": style.SMALL_SIZE}
+LEADER = {"arrowstyle": "-", "lw": 0.5}
 TITLES: dict[Law, str] = {"algorithm1": "Algorithm 1", "energy": "older law"}
 Array = NDArray[np.float64]
 
@@ -116,11 +117,8 @@ def _draw(ax: Axes, law: Switches) -> None:
         at, step = broken(down)
         if abs(step) > LEAST_JUMP:
             middle = float(np.interp(at, down.e, down.unlimited))
-            text, leader = (
-                f"{_signed(step)} at {style.SYMBOLS['x0']}",
-                {"arrowstyle": "-", "lw": 0.5},
-            )
-            ax.annotate(text, (at, middle), (-14, 7), ha="right", arrowprops=leader, **NOTE)
+            text = f"{_signed(step)} at {style.SYMBOLS['x0']}"
+            ax.annotate(text, (at, middle), (-14, 7), ha="right", arrowprops=LEADER, **NOTE)
 
 
 def _signed(jump: float) -> str:
