@@ -25,6 +25,7 @@ def measure(atlas: xr.Dataset) -> xr.Dataset:
     for x, y in PLANES:
         rest = [d for d in change.dims if d not in (x, y)]
         data[f"change_{y}"] = change.median(rest)
+        data[f"worse_{y}"] = (change > np.log10(1.0 + SAME)).mean(rest)
     every = xr.ones_like(linear)
     parts = {"all": every, "saturating": ~linear, "linear": linear}
     shares = [_shares(saturated, paper, change, where) for where in parts.values()]

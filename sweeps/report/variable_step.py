@@ -1,7 +1,8 @@
 """The control period: where the search is too slow, where too late, and the solver's own steps.
 
 Algorithm 2 integrates with the gain g = sigma/(period K0). The paper gives no period for its
-studies of contact, which a variable-step solver ran: without one a recursion advances once per step.
+studies of contact, which a variable-step solver ran: a recursion without one advances once
+per step.
 """
 
 import numpy as np
@@ -29,8 +30,8 @@ def measure(periods: xr.Dataset, cases: dict[str, Params] = CASES) -> xr.Dataset
     K0, period = np.meshgrid(mapped["K0"], mapped["period"], indexing="ij")
     scenarios = Params(K0=K0.ravel(), period=period.ravel())
     turns, tail = loop.response(loop.starting(scenarios), accepted.T_END)
-    slow = formulas.time_constant(scenarios)
-    predicted = {"turns": turns, "linear_tail": tail, "time_constant": slow}
+    excess, _, _ = loop.first_branch(scenarios)
+    predicted = {"cycles": turns & (excess > 1.0 + 1e-6), "linear_tail": tail}
     cells = {name: (("K0", "period"), flat.reshape(K0.shape)) for name, flat in predicted.items()}
     gain = formulas.gain_for(CONVERGED, Params(), accepted.T_END)
     return mapped.assign(cells).assign(gain=gain).merge(_runs(cases), join="exact")
@@ -92,7 +93,7 @@ def section(data: xr.Dataset) -> Section:
 def _periods(data: xr.Dataset) -> str:
     reached = data["nmse_tail"] <= CONVERGED
     gain = 0.01 / (data["period"] * data["K0"])
-    settles = ~data["turns"].astype(bool)
+    settles = ~data["cycles"].astype(bool)
     line = ((gain >= data["gain"]) & settles) == reached
     linear = ((data["linear_tail"] <= CONVERGED) & settles) == reached
     ratio = (data["linear_tail"] / data["nmse_tail"]).sel(contact="welded").where(settles)
@@ -107,14 +108,15 @@ def _periods(data: xr.Dataset) -> str:
         "F_K(e_M)/e_M "
         f"the slope of the branch: at sigma = 0.01 and 10 ms {told}. A tail below {CONVERGED:g} in "
         f"{accepted.T_END:g} s then takes sigma/(period K0) of at least {float(data['gain']):.3g} "
-        "per N*m*s, one line on the map. It and the turning of the joint (section on limit cycles) "
+        "per N*m*s, one line on the map. It and the overshoot of a soft controller (section on "
+        "limit cycles) "
         f"tell right whether nmse_tail is below {CONVERGED:g} in {100 * float(line.mean()):.1f} % "
         f"of the cells; the sampled linear loop in {100 * float(linear.mean()):.1f} %, with a "
         "median "
-        f"error of nmse_tail of {100 * off:.2g} % where the joint does not turn (welded). "
+        f"error of nmse_tail of {100 * off:.2g} % where it does not overshoot (welded). "
         f"{100 * float(reached.mean()):.0f} % of the cells reach it. Too fast is no cell of the "
         "map: "
-        f"the joint turns at periods of {1e3 * shortest:.3g} ms and longer only."
+        f"it overshoots and turns at periods of {1e3 * shortest:.3g} ms and longer only."
     )
 
 
