@@ -1,4 +1,4 @@
-# make sweep   run the paper sweeps and the small atlas; stores and pictures under results/
+# make sweep   run the paper sweeps and the small atlas; stores, pictures and report under results/
 # make test    lint, types and all tests
 # make picture remake the README's picture
 # make figures the paper's figures, and those of a report that has run, under results/figures/

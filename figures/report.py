@@ -1,26 +1,28 @@
-"""The pictures of `fic-sweep report`: the paper's figures, and one for each finding beyond it."""
+"""The pictures of `fic-sweep report`: one for each finding, and the paper's figures."""
 
 from collections.abc import Iterator, Mapping
-from importlib import import_module
 from pathlib import Path
 
 import xarray as xr
 
-from figures.paper import look
+from figures import limit_cycle, saturation, search_resolution, variable_step
+from figures.finding import keep
 from figures.paper.__main__ import SCRIPTS
 from figures.style import save
 
+FINDINGS = {
+    "limit_cycle": limit_cycle,
+    "saturation": saturation,
+    "search_resolution": search_resolution,
+    "variable_step": variable_step,
+}
+
 
 def draw(folder: Path, findings: Mapping[str, xr.Dataset]) -> Iterator[str]:
-    """Write every picture into `folder`; yields the stem of each once it is there."""
+    """Write every picture into `folder`, and the data of the findings; yields each stem."""
     for name, data in findings.items():
-        try:
-            save(import_module(f"figures.{name}").plot(data), folder / f"{name}.png")
-        except ModuleNotFoundError:
-            continue
+        keep(data, folder, name)
+        save(FINDINGS[name].plot(data), folder / f"{name}.png")
         yield name
     for script in SCRIPTS:
-        before = {p.stem for p in folder.glob("*.png")}
-        look.FOLDER = folder
-        script.main()
-        yield from sorted({p.stem for p in folder.glob("*.png")} - before)
+        yield from script.main(folder)

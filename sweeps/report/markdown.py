@@ -10,6 +10,7 @@ from sweeps.report.page import (
     claims_table,
     conditions_table,
     scenarios_table,
+    typeset,
 )
 from sweeps.report.record import Judgement, Section
 
@@ -65,7 +66,7 @@ def _table(table: Table, links: bool = False) -> Iterator[str]:
 
 def escaped(text: str) -> str:
     """Plain text, nothing of which Markdown or HTML reads as markup."""
-    text = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    text = typeset(text).replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
     return re.sub(r"([\\`*_|\[\]~$])", r"\\\1", " ".join(text.split()))
 
 

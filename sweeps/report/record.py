@@ -1,4 +1,4 @@
-"""What a report is made of: claims with evidence and computed verdicts, and sections beyond them."""
+"""What a report is made of: claims with evidence and computed verdicts, sections beyond them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -51,7 +51,7 @@ class Findings:
     evidence: Sequence[Evidence]
     conditions: Sequence[Condition]  # widest first; the first is what the paper claims, words ""
     key: str  # the number that decides, in words
-    numbers: Mapping[str, float] = field(default_factory=dict)  # for the reason's text and tests
+    numbers: Mapping[str, float | str] = field(default_factory=dict)  # for the reason and tests
 
     def good(self) -> np.ndarray:
         """[N] bool: scenarios that are as claimed in all the evidence."""

@@ -1,6 +1,7 @@
 """The stores a report is made from: run where missing, resumed where unfinished."""
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 
 from sweeps import runner
@@ -26,7 +27,7 @@ def ensure(folder: Path, names: Iterable[str], library: Path, tell: Tell) -> dic
         store = there.get(name) or runner.start(
             path, load(library / f"{name}.toml"), None, PRECISION
         )
-        runner.run(store, lambda progress, name=name: tell(name, progress))
+        runner.run(store, partial(tell, name))
     return paths
 
 

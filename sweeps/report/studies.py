@@ -112,13 +112,13 @@ def sweep_of(fields: dict[str, np.ndarray], model: Model, dt: float) -> Metrics:
 
 @lru_cache(maxsize=64)
 def welded(reading: Reading) -> Study:
-    """K0 by Td, welded to Kenv = 100, Denv = 189.7 (Fig. 4, left, and Fig. 6)."""
+    """K0 by Td, welded to Kenv = 100, Denv = 189.7 (fig:4 left, fig:6)."""
     return run(_grid(K0=WELDED_K0, Td=TORQUES), reading, "welded")
 
 
 @lru_cache(maxsize=64)
 def contact(reading: Reading) -> Study:
-    """The same against a hard stop, from contact (Fig. 4, right, and Fig. 7)."""
+    """The same against a hard stop, from contact (fig:4 right, fig:7)."""
     return run(_grid(K0=WELDED_K0, Td=TORQUES), reading, None)
 
 
@@ -132,7 +132,7 @@ def impact_columns() -> dict[str, np.ndarray]:
 
 @lru_cache(maxsize=64)
 def impact(reading: Reading) -> Study:
-    """The approach from 0.5 rad to five environments (Fig. 5, 8 and 9)."""
+    """The approach from 0.5 rad to five environments (fig:5, fig:8, fig:9)."""
     return run(impact_columns(), reading, None)
 
 

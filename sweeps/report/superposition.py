@@ -89,7 +89,9 @@ def _simulator(model: Model, n_slices: int) -> Any:
 
         memory = jax.vmap(lambda p: init(p, model).memory)(at(jnp.int32(0)))
         start = memory, body.x_init, body.v_init, jnp.zeros_like(body.x_init)
-        _, (seen, H) = jax.lax.scan(sliced, start, jnp.arange(n_slices, dtype=jnp.int32))
-        return History(*seen, start=H[0])
+        _, ((swing, kinetic, H, added), first) = jax.lax.scan(
+            sliced, start, jnp.arange(n_slices, dtype=jnp.int32)
+        )
+        return History(swing, kinetic, H, added, first[0])
 
     return jax.jit(jax.vmap(one))

@@ -13,6 +13,7 @@ from sweeps.report.page import (
     claims_table,
     conditions_table,
     scenarios_table,
+    typeset,
 )
 from sweeps.report.record import Judgement, Section, Verdict
 
@@ -108,13 +109,14 @@ def _picture(stem: str, title: str, page: Page, pictures: Path) -> Iterator[str]
 
 
 def paragraphs(text: str) -> Iterator[str]:
-    """The little Markdown of a section's text: paragraphs, indented lines, `code`, *stress*."""
+    """A section's text: paragraphs, lines set apart by four spaces, `code`, *stress*, **more**."""
     for block in re.split(r"\n\s*\n", text.strip("\n")):
         lines = block.splitlines()
         if all(line.startswith("    ") for line in lines):
             yield "<pre>" + escaped("\n".join(line[4:] for line in lines)) + "</pre>"
             continue
         shown = re.sub(r"`([^`]+)`", r"<code>\1</code>", escaped(" ".join(block.split())))
+        shown = re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", shown)
         yield "<p>" + re.sub(r"\*([^*\s][^*]*)\*", r"<em>\1</em>", shown) + "</p>"
 
 
@@ -130,4 +132,4 @@ def _cells(kind: str, texts: object) -> str:
 
 def escaped(text: str) -> str:
     """Plain text, nothing of which HTML reads as markup."""
-    return html.escape(text, quote=True)
+    return html.escape(typeset(text), quote=True)
