@@ -1,5 +1,6 @@
 """Every figure of the paper into results/figures: `python -m figures.paper`."""
 
+from fic_jax import tune_for_throughput
 from figures.paper import (
     attractor,
     energy,
@@ -15,6 +16,7 @@ SCRIPTS = (profile, attractor, energy, superposition, welded_contact, environmen
 
 def main() -> None:
     """Run all scripts."""
+    tune_for_throughput()
     for script in SCRIPTS:
         script.main()
 
