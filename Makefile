@@ -19,6 +19,7 @@ sweep: $(VENV)/installed
 	@echo "drawing ..."
 	@$(BIN)/python -m figures.overview results
 	@ls results/*.png
+	@$(BIN)/fic-sweep report
 
 test: lint
 	$(BIN)/pytest -n 2

@@ -1,8 +1,7 @@
 """C11 to C13: the force profile, the Lyapunov function and the shape of the attractor."""
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any
+from functools import lru_cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -187,14 +186,20 @@ def portrait(p: Params, e_M: float, model: Model) -> np.ndarray:
     Over sqrt(2 E_K(e_M)/I), the largest that the energy allows; 0 where the cycle does not get.
     """
     with jax.enable_x64(True):
-        q, e = canonical(p), jnp.linspace(0.0, e_M, POINTS)
+        return np.asarray(_portrait(canonical(p), jnp.asarray(e_M), model))
 
-        def released(diverging: bool) -> Any:
-            attractor = latch(e[-1], jnp.array(diverging), e[-1], q, model)
-            U = jax.vmap(lambda e: potential(e, attractor, q, model))(e)
-            return jnp.sqrt(jnp.maximum(U[-1] - U, 0.0) / energy(e[-1], q))
 
-        return np.concatenate([released(True), released(False)])
+@partial(jax.jit, static_argnames="model")
+def _portrait(p: Params, e_M: jax.Array, model: Model) -> jax.Array:
+    """`portrait` on canonical numbers."""
+    e = jnp.linspace(0.0, e_M, POINTS)
+
+    def speeds(diverging: bool) -> jax.Array:
+        attractor = latch(e_M, jnp.array(diverging), e_M, p, model)
+        U = jax.vmap(lambda e: potential(e, attractor, p, model))(e)
+        return jnp.sqrt(jnp.maximum(U[-1] - U, 0.0) / energy(e_M, p))
+
+    return jnp.concatenate([speeds(True), speeds(False)])
 
 
 CLAIMS = (
