@@ -6,9 +6,17 @@ from typing import Literal
 
 import numpy as np
 
-from fic_jax import Model
+from fic_jax import Metrics, Model, Sample
 
 Verdict = Literal["holds", "holds where", "does not hold"]
+
+
+@dataclass(frozen=True, eq=False)
+class Runner:
+    """Where metrics and time histories of scenarios come from, other than a sweep of their own."""
+
+    metrics: Callable[[dict[str, np.ndarray], Model, float], Metrics]  # fields, model, dt
+    histories: Callable[[dict[str, np.ndarray], Model, float], Sample]  # leaves [N, steps]
 
 
 @dataclass(frozen=True)
@@ -20,6 +28,7 @@ class Reading:
     dt: float = 0.01  # s, plant step
     # s, other periods that a condition may name; tried where the claim fails at `period`
     others: tuple[float, ...] = ()
+    runner: Runner | None = None  # None: each study runs its own sweep
 
 
 PRINTED = Reading()

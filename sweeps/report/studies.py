@@ -86,7 +86,8 @@ def run(columns: dict[str, np.ndarray], reading: Reading, contact: str | None) -
     parts = []
     for period, dt in steps(reading):
         fields = columns | {"period": np.full(n, period)}
-        parts.append((fields, sweep_of(fields, model, dt)))
+        metrics_of = reading.runner.metrics if reading.runner else sweep_of
+        parts.append((fields, metrics_of(fields, model, dt)))
     joined = {name: np.concatenate([p[0][name] for p in parts]) for name in parts[0][0]}
     metrics = jax.tree.map(lambda *leaves: np.concatenate(leaves), *(p[1] for p in parts))
     return Study(joined, np.arange(n * len(parts)) < n, metrics)
@@ -144,11 +145,17 @@ def impact_motions(reading: Reading) -> tuple[Sample, ...]:
     motions: list[Sample] = []
     for period, dt in steps(reading):
         fields = columns | {"period": np.full(len(columns["gap"]), period)}
-        together = _histories(model, dt, round(T_END / dt))(_params(fields))
-        together = jax.tree.map(np.asarray, together)
+        histories_of = reading.runner.histories if reading.runner else rollouts
+        together = histories_of(fields, model, dt)
         for i in range(len(columns["gap"])):
             motions.append(jax.tree.map(lambda leaf, i=i: leaf[i], together))
     return tuple(motions)
+
+
+def rollouts(fields: dict[str, np.ndarray], model: Model, dt: float) -> Sample:
+    """Time histories of scenarios given by their fields, leaves [N, steps]."""
+    together = _histories(model, dt, round(T_END / dt))(_params(fields))
+    return jax.tree.map(np.asarray, together)
 
 
 def _params(fields: dict[str, np.ndarray]) -> Params:
