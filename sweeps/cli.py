@@ -248,7 +248,11 @@ def report(
         for line in compose.lines(compose.judged(claims, given)):
             print(line)
         return
-    page = compose.compose(results, given)
+    try:
+        page = compose.compose(results, given)
+    except OSError as error:
+        print(f"fic-sweep: failed: {error}; what is finished is kept", file=sys.stderr)
+        raise typer.Exit(1) from None
     print(f"wrote {results / 'report.md'} and {results / 'report.html'}")
     if docs:
         print(f"wrote {compose.copy(page, results, docs)}")

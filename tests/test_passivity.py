@@ -16,7 +16,7 @@ from fic_jax.passivity import lyapunov, potential, stored
 from tests.test_laws import numbers, scenarios
 
 law = settings(max_examples=100, deadline=None, derandomize=True)
-laws = pytest.mark.parametrize("model", [Model(law=name) for name in CHOICES["law"]], ids=CHOICES["law"])
+laws = pytest.mark.parametrize("model", [Model(law=name) for name in CHOICES["law"]], ids=str)
 
 
 def of_branch(function):

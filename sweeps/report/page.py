@@ -15,8 +15,8 @@ INTRODUCTION = (
     "verdict is computed from the numbers beside it. Quantities are in N, m, rad, s and kg; K0, "
     "Td, Fmax, ... are the paper's symbols, figures go by their labels in its source; nmse "
     "is the mean of ((T - Td)/min(Td, Fmax))². The printed reading has a plant step and a control "
-    "period of 10 ms, the step that the paper names; it gives no control period, and the claims are "
-    "also tried at 1, 2 and 5 ms."
+    "period of 10 ms, the step that the paper names; it gives no control period, and the claims "
+    "are also tried at 1, 2 and 5 ms."
 )
 SIGNS = {"<=": "≤", ">=": "≥", "N*m": "N·m", "sqrt": "√"}
 
@@ -55,7 +55,8 @@ def claims_table(page: Page) -> Table:
 def conditions_table(findings: Findings) -> Table:
     """How much of each condition is as claimed, and the range of every quantity there.
 
-    Of other periods than the printed one only the whole, and the widest that is as claimed.
+    Parts only where the whole is not as claimed; of other periods than the printed one the whole
+    and the widest part that is.
     """
     shown = [c for c in findings.conditions if c.where.any() and _shown(c, findings)]
     header = (
@@ -67,7 +68,7 @@ def conditions_table(findings: Findings) -> Table:
     good = findings.good()
     rows = [
         (
-            condition.words or "everywhere",
+            condition.words or "as the paper has it",
             str(int(condition.where.sum())),
             str(int(good[condition.where].sum())),
             *(_range(e.values[condition.where]) for e in findings.evidence),
@@ -80,7 +81,9 @@ def conditions_table(findings: Findings) -> Table:
 def _shown(condition: Condition, findings: Findings) -> bool:
     """All of the printed reading; of another period the whole, and the widest that is good."""
     printed, good = findings.conditions[0].where, findings.good()
-    if not (condition.where & ~printed).any() or " and " not in condition.words:
+    if not (condition.where & ~printed).any():
+        return condition is findings.conditions[0] or not good[printed].all()
+    if " and " not in condition.words:
         return True
     period = condition.words.partition(" and ")[0]
     alike = [c for c in findings.conditions if c.words.partition(" and ")[0] == period]

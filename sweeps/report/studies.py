@@ -45,12 +45,12 @@ class Study:
 
     def names(self, *fields: str) -> list[str]:
         """Scenarios named by these fields; the period is named where it differs."""
-        several = not self.printed.all()
-        fields = (*fields, *(("period",) if several else ()))
-        columns = [self.params[name] for name in fields]
         return [
-            ", ".join(_named(n, v) for n, v in zip(fields, row, strict=True))
-            for row in zip(*columns, strict=True)
+            ", ".join(
+                _named(name, self.params[name][i])
+                for name in (*fields, *(() if self.printed[i] else ("period",)))
+            )
+            for i in range(len(self.printed))
         ]
 
     def conditions(self, parts: dict[str, np.ndarray]) -> list[Condition]:
