@@ -1,6 +1,5 @@
 """Where the loop limit-cycles, measured, with the boundaries of the formulas; and the stripe."""
 
-import numpy as np
 import xarray as xr
 from matplotlib import rc_context
 from matplotlib.axes import Axes
@@ -10,7 +9,7 @@ from matplotlib.patches import Patch
 
 from figures import style
 from figures.finding import draw
-from figures.maps import cells, label
+from figures.maps import cells, label, rows
 
 READINGS = ("algorithm1, welded", "algorithm1, hard stop")
 SETTLED, CYCLE = "#eef1f4", "#6c8ebf"
@@ -22,15 +21,14 @@ def plot(data: xr.Dataset) -> Figure:
     readings = [name for name in READINGS if name in data["reading"].values]
     with rc_context(style.RC):
         fig = Figure(figsize=(style.PAGE_WIDTH, 1.5 + 1.75 * len(readings)))
-        parts = fig.subfigures(2, 1, height_ratios=(1.55 * len(readings), 1.0))
-        maps, below = np.ravel(parts)
+        maps, below = rows(fig, (1.55 * len(readings), 1.0))
         grid = maps.subplots(len(readings), data.sizes["map"], squeeze=False, sharex=True)
         for ax in grid[-1]:
             ax.set_xlabel(label("K0"))
-        for row, reading in zip(grid, readings, strict=True):
-            for ax, name in zip(row, data["map"].values, strict=True):
+        for line, reading in zip(grid, readings, strict=True):
+            for ax, name in zip(line, data["map"].values, strict=True):
                 _map(ax, data.sel(reading=reading, map=name))
-            row[0].set_title(reading.split(", ")[1], loc="left", fontweight="bold")
+            line[0].set_title(reading.split(", ")[1], loc="left", fontweight="bold")
         for ax, Denv in zip(grid[0], data["Denv"].values, strict=True):
             ax.set_title(f"$D_{{env}}$ = {style.number(Denv)} N·m·s/rad", loc="right")
         handles, _ = grid[0, 0].get_legend_handles_labels()

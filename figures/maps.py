@@ -7,6 +7,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 from numpy.typing import NDArray
 
@@ -20,6 +21,11 @@ CHANGE = LinearSegmentedColormap.from_list(
 )
 
 EDGED: list[AbstractPathEffect] = [withStroke(linewidth=2.4, foreground="0.15")]
+
+
+def rows(fig: Figure, heights: tuple[float, ...]) -> list[SubFigure]:
+    """Parts of a figure, one below the other, each with its own legend."""
+    return list(np.asarray(fig.subfigures(len(heights), 1, height_ratios=heights)).flat)
 
 
 def label(field: str) -> str:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from figures import style
 from figures.finding import draw
-from figures.maps import cells, contour, label, over
+from figures.maps import cells, contour, label, over, rows
 
 SIGMA, Td = 0.01, 5.0  # of the store and of all runs
 CONVERGED = 1e-4  # nmse_tail at the lines
@@ -28,7 +28,7 @@ def plot(data: xr.Dataset) -> Figure:
     """Two maps of nmse_tail with the lines of the loop, over four histories of the torque."""
     with rc_context(style.RC):
         fig = Figure(figsize=(style.PAGE_WIDTH, 4.9))
-        upper, lower = np.ravel(fig.subfigures(2, 1, height_ratios=(1.25, 1.0)))
+        upper, lower = rows(fig, (1.25, 1.0))
         maps = upper.subplots(1, len(data["contact"]), sharey=True, squeeze=False)[0]
         for ax, contact in zip(maps, data["contact"].values, strict=True):
             mesh = _map(ax, data.sel(contact=contact))
