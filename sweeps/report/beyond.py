@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import xarray as xr
 
-from sweeps.report import limit_cycle, saturation, search_resolution, variable_step
+from sweeps.report import limit_cycle, online_gains, saturation, search_resolution, variable_step
 from sweeps.report.record import Section
 
 
@@ -29,4 +29,5 @@ FINDINGS = (
         search_resolution.section,
     ),
     Finding("limit_cycle", (), limit_cycle.measure, limit_cycle.section),
+    Finding("online_gains", (), online_gains.measure, online_gains.section),
 )

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from sweeps.report import attractor, contact, impact, stability, welded
+from sweeps.report import attractor, contact, impact, online_gains, stability, welded
 from sweeps.report.judge import judge
 from sweeps.report.record import PRINTED, Claim, Judgement, Reading
 from sweeps.spec import SweepError
@@ -14,6 +14,7 @@ CLAIMS: tuple[Claim, ...] = (
     *contact.CLAIMS[1:],
     *attractor.CLAIMS,
     *stability.CLAIMS,
+    *online_gains.CLAIMS,
 )
 
 __all__ = ["CLAIMS", "PRINTED", "Claim", "Judgement", "Reading", "chosen", "judge"]
