@@ -250,8 +250,10 @@ def report(
         return
     try:
         page = compose.compose(results, given)
-    except OSError as error:
-        print(f"fic-sweep: failed: {error}; what is finished is kept", file=sys.stderr)
+    except (KeyboardInterrupt, OSError) as error:
+        why = "interrupted" if isinstance(error, KeyboardInterrupt) else f"failed: {error}"
+        rest = f"the stores in {results} are kept, the same command does the rest"
+        print(f"fic-sweep: {why}; {rest}", file=sys.stderr)
         raise typer.Exit(1) from None
     print(f"wrote {results / 'report.md'} and {results / 'report.html'}")
     if docs:

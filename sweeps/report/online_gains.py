@@ -154,9 +154,9 @@ def section(data: xr.Dataset) -> Section:
         "peak e, where K_low e²/2 is equal to it: a round multiplies the peak by\n\n"
         "    sqrt((r - 1)/2), r = K_high/K_low\n\n"
         "The moments of the changes are the same at any energy: a fixed beat does. Beyond r = 3 "
-        f"the swing grows, here to {top:.2g} rad, until the saturation puts it out of step; then it "
-        "falls and grows again. Below r = 3 it dies: a bound on how far gains may change restores "
-        "the claim."
+        f"the swing grows, here to {top:.2g} rad, until the saturation puts it out of step; then "
+        "it falls and grows again. Below r = 3 it dies: a bound on how far gains may change "
+        "restores the claim."
     )
     header = ("r", "factor a round, derived", "measured", "|x| in the last 10 s of 40, rad")
     return Section(
