@@ -5,7 +5,14 @@ from pathlib import Path
 
 import xarray as xr
 
-from figures import limit_cycle, online_gains, saturation, search_resolution, variable_step
+from figures import (
+    limit_cycle,
+    online_gains,
+    readings,
+    saturation,
+    search_resolution,
+    variable_step,
+)
 from figures.finding import keep
 from figures.paper.__main__ import SCRIPTS
 from figures.style import save
@@ -13,6 +20,7 @@ from figures.style import save
 FINDINGS = {
     "limit_cycle": limit_cycle,
     "online_gains": online_gains,
+    "readings": readings,
     "saturation": saturation,
     "search_resolution": search_resolution,
     "variable_step": variable_step,

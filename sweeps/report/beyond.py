@@ -5,7 +5,14 @@ from dataclasses import dataclass
 
 import xarray as xr
 
-from sweeps.report import limit_cycle, online_gains, saturation, search_resolution, variable_step
+from sweeps.report import (
+    limit_cycle,
+    online_gains,
+    readings,
+    saturation,
+    search_resolution,
+    variable_step,
+)
 from sweeps.report.record import Section
 
 
@@ -20,6 +27,7 @@ class Finding:
 
 
 FINDINGS = (
+    Finding("readings", (), readings.measure, readings.section),
     Finding("variable_step", ("period-map",), variable_step.measure, variable_step.section),
     Finding("saturation", ("atlas-saturated",), saturation.measure, saturation.section),
     Finding(
