@@ -1,13 +1,14 @@
-# make sweep   run the paper sweeps and the small atlas; stores and pictures under results/
+# make sweep   run the paper sweeps and the small atlas; stores, pictures and report under results/
 # make test    lint, types and all tests
 # make picture remake the README's picture
+# make figures the paper's figures, and those of a report that has run, under results/figures/
 # make clean   remove the results, as after a change of the program; make distclean the environment too
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 SWEEPS := paper-welded paper-contact period-map atlas-small
 
-.PHONY: sweep test lint picture clean distclean
+.PHONY: sweep test lint picture figures clean distclean
 
 sweep: $(VENV)/installed
 	@mkdir -p results
@@ -18,6 +19,7 @@ sweep: $(VENV)/installed
 	@echo "drawing ..."
 	@$(BIN)/python -m figures.overview results
 	@ls results/*.png
+	@$(BIN)/fic-sweep report
 
 test: lint
 	$(BIN)/pytest -n 2
@@ -30,6 +32,15 @@ lint: $(VENV)/installed
 picture:
 	@[ -e results/atlas-small.zarr ] || $(MAKE) sweep
 	$(BIN)/python -m figures.overview results --readme docs/overview.png
+
+figures: $(VENV)/installed
+	@echo "drawing the paper's figures ..."
+	@$(BIN)/python -m figures.paper
+	@# the findings beyond the paper, from the data that fic-sweep report has kept
+	@for data in $(wildcard results/figures/*.nc); do \
+	  $(BIN)/python -m figures.$$(basename $$data .nc) results/figures || exit $$?; \
+	done
+	@ls results/figures/*.png
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "fic_jax needs Python 3.11 or newer; make PYTHON=...")'

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 
 if TYPE_CHECKING:
+    from sweeps.report.compose import Surroundings
     from sweeps.runner import Progress
     from sweeps.spec import Sweep
     from sweeps.store import Store
@@ -280,6 +281,60 @@ def bench(
         print(f"fic-sweep: {str(error) or 'interrupted'}", file=sys.stderr)
         raise typer.Exit(1) from None
     print(encoder.dumps(result) if json else (as_markdown if markdown else as_text)(result))
+
+
+@app.command()
+def report(
+    results: Annotated[
+        Path, typer.Option(metavar="PATH", help="folder of the stores, pictures and pages")
+    ] = Path("results"),
+    docs: Annotated[
+        Path | None, typer.Option(metavar="PATH", help="a folder that gets a copy as report.md")
+    ] = None,
+    only: Annotated[
+        list[str] | None, typer.Option(metavar="ID", help="print these claims alone, as C12")
+    ] = None,
+) -> None:
+    """Hold the paper's claims against simulations: report.md and report.html, in some minutes."""
+    asked = _stop_between_blocks()
+    from sweeps import runner
+    from sweeps.report import compose
+    from sweeps.report.claims import chosen
+
+    claims = chosen(only or [])
+    runner.configure(64)
+    given = _surroundings(asked)
+    if only:
+        for line in compose.lines(compose.judged(claims, given)):
+            print(line)
+        return
+    try:
+        page = compose.compose(results, given)
+    except (KeyboardInterrupt, OSError) as error:
+        why = "interrupted" if isinstance(error, KeyboardInterrupt) else f"failed: {error}"
+        rest = f"the stores in {results} are kept, the same command does the rest"
+        print(f"fic-sweep: {why}; {rest}", file=sys.stderr)
+        raise typer.Exit(1) from None
+    print(f"wrote {results / 'report.md'} and {results / 'report.html'}")
+    if docs:
+        print(f"wrote {compose.copy(page, results, docs)}")
+
+
+def _surroundings(asked: list[int]) -> "Surroundings":
+    """What a report needs of the command line: the library, the pictures, lines and stops."""
+    from figures.report import draw
+    from sweeps.report.compose import Surroundings
+
+    def go_on() -> None:
+        if asked:
+            raise KeyboardInterrupt
+
+    def running(name: str, progress: "Progress") -> None:
+        if progress.done == progress.cells:
+            print(f"{name}: {progress.cells:,} scenarios", flush=True)
+        _stop_if(asked, progress)
+
+    return Surroundings(LIBRARY, lambda line: print(line, flush=True), running, go_on, draw)
 
 
 def _version(asked: bool) -> None:

@@ -16,6 +16,7 @@ ARROWS = {
     "fic_jax.profile": {"fic_jax.params"},
     "fic_jax.controller": {"fic_jax.params", "fic_jax.profile"},
     "fic_jax.exploration": {"fic_jax.params"},
+    "fic_jax.passivity": {f"fic_jax.{name}" for name in ("params", "profile", "controller")},
     "fic_jax.stiffness": {"fic_jax.params"},
     "fic_jax.environment": {"fic_jax.params"},
     "fic_jax.integration": {f"fic_jax.{name}" for name in ("params", "controller", "environment")},

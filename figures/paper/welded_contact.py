@@ -1,0 +1,118 @@
+"""Normalised torque error over K0 and Td (fig:4): welded beside hard stop."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from fic_jax import Model
+from fic_jax.params import Contact
+from figures import style
+from figures.paper import look, studies
+
+TORQUES = (1.0, 5.0, 10.0, 20.0)  # N*m, Td
+CONTACTS: tuple[Contact, ...] = ("welded", "hard_stop")  # left, right
+TITLES = {"welded": "welded", "hard_stop": "contact (hard stop)"}
+ROWS = {"nmse": "whole run", "nmse_tail": "last 5 s"}
+# What the text states, by panel: "below 1e-1", "below 1e-4", "about 1e-1 even at the regime".
+STATED = {
+    ("welded", "nmse"): 1e-1,
+    ("welded", "nmse_tail"): 1e-4,
+    ("hard_stop", "nmse_tail"): 1e-1,
+}
+SPREAD = 0.66  # of the distance between two Td, taken by the markers of one
+
+
+def simulate(step: float) -> xr.Dataset:
+    """Both columns; `xd` 0 is the true distance of the environment, 0.001 rad the 1 % error."""
+    estimates = (0.0, studies.ESTIMATE_ERROR)
+    grid = {"xd": estimates, "K0": studies.STIFFNESSES, "Td": TORQUES}
+    contacts = [studies.metrics(grid, model=Model(contact=c), step=step) for c in CONTACTS]
+    return xr.concat(contacts, xr.Variable("contact", list(CONTACTS)), combine_attrs="override")
+
+
+def plot(data: xr.Dataset) -> Figure:
+    """nmse above, nmse_tail below; both columns share the logarithmic scales."""
+    columns = [str(c) for c in data["contact"].values]
+    with rc_context(style.RC):
+        fig = Figure(figsize=(style.PAGE_WIDTH, 4.2))
+        shape: dict[str, Any] = {"squeeze": False, "height_ratios": (1.0, 1.5)}
+        grid = fig.subplots(len(ROWS), len(columns), sharex=True, sharey="row", **shape)
+        for row, metric in zip(grid, ROWS, strict=True):
+            for ax, contact in zip(row, columns, strict=True):
+                _draw(ax, data[metric].sel(contact=contact))
+                _stated(ax, STATED.get((contact, metric)))
+            row[0].set(yscale="log", ylim=_decades(data[metric].values))
+            row[0].set_ylabel(f"normalised MSE,\n{ROWS[metric]}")
+        for ax, contact in zip(grid[0], columns, strict=True):
+            ax.set_title(TITLES[contact])
+        for ax in grid[-1]:
+            ax.set_xlabel(look.label("Td"))
+        fig.suptitle(studies.told_step(data))
+        fig.legend(handles=_legend(data), loc="outside right upper", frameon=False)
+    return fig
+
+
+def _draw(ax: Axes, plane: xr.DataArray) -> None:
+    """A group for each Td, in it a place for each K0; filled exact, ring the 1 % error."""
+    stiffnesses, torques = plane["K0"].values, plane["Td"].values
+    colours = look.ordered(stiffnesses.size)
+    places = SPREAD * (np.arange(stiffnesses.size) / max(stiffnesses.size - 1, 1) - 0.5)
+    for K0, place, colour, marker in zip(stiffnesses, places, colours, look.MARKERS, strict=False):
+        x = np.arange(torques.size) + place
+        for estimate in plane["xd"].values:
+            y = plane.sel(K0=K0, xd=estimate).values
+            ax.plot(x, y, ls="", marker=marker, color=colour, **_kind(estimate))
+    ax.set_xticks(range(torques.size), [f"{Td:g}" for Td in torques])
+    ax.tick_params(axis="x", length=0)
+    for between in np.arange(torques.size - 1) + 0.5:
+        ax.axvline(between, color="0.88", lw=0.5, zorder=0)
+
+
+def _kind(estimate: float) -> dict[str, Any]:
+    if estimate == 0.0:
+        return {"ms": 3.2, "mew": 0.0}
+    return {"ms": 5.6, "mew": 0.7, "mfc": "none"}
+
+
+def _stated(ax: Axes, bound: float | None) -> None:
+    if bound is not None:
+        ax.axhline(bound, color=look.REFERENCE, lw=0.7, ls=(0, (4, 2)), zorder=0)
+
+
+def _decades(values: np.ndarray) -> tuple[float, float]:
+    """Whole decades around all positive values."""
+    drawn = np.log10(values[np.isfinite(values) & (values > 0)])
+    return 10.0 ** np.floor(drawn.min()), 10.0 ** np.ceil(drawn.max())
+
+
+def _legend(data: xr.Dataset) -> list[Line2D]:
+    named = zip(data["K0"].values, look.ordered(data.sizes["K0"]), look.MARKERS, strict=False)
+    lines = [
+        Line2D([], [], ls="", marker=m, color=c, ms=4, label=look.values("K0", [K0])[0])
+        for K0, c, m in named
+    ]
+    texts = {0.0: "exact contact", studies.ESTIMATE_ERROR: "1 % error"}
+    for estimate in data["xd"].values:
+        kind = _kind(estimate)
+        text = f"{texts[float(estimate)]},\n{look.values('xd', [estimate])[0]}"
+        lines.append(Line2D([], [], ls="", marker="o", color="0.3", label=text, **kind))
+    dashes: dict[str, Any] = {"color": look.REFERENCE, "lw": 0.7, "ls": (0, (4, 2))}
+    return [*lines, Line2D([], [], label="stated in the text", **dashes)]
+
+
+def main(folder: Path = look.FOLDER) -> list[str]:
+    """Simulate both columns at either step and write a figure of each."""
+    return [
+        look.write(plot(simulate(step)), folder, "mse_contact" + ending)
+        for ending, step in studies.STEPS.items()
+    ]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""`fic-sweep report`: the paper's claims, measured, judged and written down."""

@@ -1,0 +1,102 @@
+"""A run whose steps the solver chooses: Algorithms 1 and 2 once per accepted step.
+
+What happens to a recursion without a period of its own in a variable-step simulation, as the
+paper's of contact (ode23t). Simulink's default step limit is the simulated time over 50.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.integrate import RK23, OdeSolver, Radau
+
+from fic_jax import Model, Params, init
+from fic_jax.controller import Attractor, torque
+from fic_jax.environment import interaction_torque
+from fic_jax.integration import acceleration
+from fic_jax.params import canonical
+from fic_jax.simulation import Memory, decide
+
+T_END = 10.0  # s
+LIMIT = T_END / 50  # s, longest step
+TOLERANCE = {"rtol": 1e-3, "atol": 1e-6}  # Simulink's relative default, and its absolute start
+SOLVERS: dict[str, type[OdeSolver]] = {"Radau": Radau, "RK23": RK23}  # implicit as ode23t; explicit
+MODEL = Model(contact="hard_stop")
+MOST_STEPS = 20_000
+
+
+@dataclass(frozen=True)
+class Steps:
+    """One run: a row for each accepted step of the solver."""
+
+    t: np.ndarray  # s
+    tau_env: np.ndarray  # N*m
+
+    def tail_nmse(self, Td: float) -> float:
+        """Normalised mean square error over the second half, by the trapezoidal rule in time."""
+        t = np.union1d(self.t[self.t > T_END / 2], T_END / 2)
+        eps = np.interp(t, self.t, self.tau_env) / Td - 1.0
+        return float(np.trapezoid(eps**2, t) / (t[-1] - t[0]))
+
+    def highest_in_tail(self) -> float:
+        """Largest torque over the second half, N*m."""
+        return float(self.tau_env[self.t > T_END / 2].max())
+
+    def rise_in_tail(self) -> float:
+        """By how much the torque rises over the second half, N*m."""
+        return float(self.tau_env[-1] - np.interp(T_END / 2, self.t, self.tau_env))
+
+
+def accepted_steps(p: Params, solver: type[OdeSolver], limit: float = LIMIT) -> Steps:
+    """A run with Algorithms 1 and 2 once per accepted step of a variable-step solver of scipy."""
+    with jax.enable_x64(True):
+        rows = np.array(list(_rows(canonical(p), solver, limit)))
+    return Steps(rows[:, 0], rows[:, 1])
+
+
+def _rows(p: Params, solver: type[OdeSolver], limit: float) -> Iterator[tuple[float, float]]:
+    """Time and interaction torque after each step; the law is held for a step, as everywhere."""
+    state = init(p, MODEL)
+    memory, measured = state.memory, state.measured
+    t, y, h = 0.0, np.array([float(p.x_init), float(p.v_init)]), None
+    yield t, float(measured)
+    for _ in range(MOST_STEPS):
+        memory, attractor = _decided(p, memory, y, measured)
+        slope = partial(_slope, p, memory.x_h, attractor)
+        # A new solver for each step: the law it integrates is another one.
+        run = solver(
+            lambda _, y, slope=slope: np.asarray(slope(y)),
+            t,
+            y,
+            T_END,
+            max_step=limit,
+            first_step=None if h is None else min(h, T_END - t),
+            **TOLERANCE,
+        )
+        run.step()
+        t, y, h = run.t, run.y, run.h_abs
+        measured = _touch(p, y)
+        yield t, float(measured)
+        if run.status != "running":
+            break
+
+
+@jax.jit
+def _decided(
+    p: Params, memory: Memory, y: jax.Array, measured: jax.Array
+) -> tuple[Memory, Attractor]:
+    return decide(p, memory, y[0], y[1], measured, MODEL, p.period)  # a period a step: always ticks
+
+
+@jax.jit
+def _slope(p: Params, x_h: jax.Array, attractor: Attractor, y: jax.Array) -> jax.Array:
+    tau = torque(x_h - y[0], attractor, p, MODEL)
+    return jnp.stack([y[1], acceleration(p, tau, y[0], y[1], MODEL)])
+
+
+@jax.jit
+def _touch(p: Params, y: jax.Array) -> jax.Array:
+    return interaction_torque(y[0], y[1], p, MODEL)
