@@ -23,7 +23,7 @@ def run(folder: Path, kept: str) -> bytes:
     (folder / "kept.toml").write_text(SWEEP)
     environment = os.environ | {cache.VARIABLE: kept}
     call("run", "kept.toml", code=0, folder=folder, environment=environment)
-    chunks = sorted((folder / "kept.zarr").glob("*/c/*"))
+    chunks = sorted((folder / "kept.zarr").glob("*/c.*"))
     assert chunks
     return b"".join(chunk.read_bytes() for chunk in chunks)
 
