@@ -6,12 +6,15 @@
 import asyncio
 import errno
 import json
+import math
+import multiprocessing
 import os
 import random
 import shutil
 import sqlite3
 import sys
 import tempfile
+import time
 from collections import Counter
 from concurrent.futures import Future
 from contextlib import contextmanager
@@ -33,6 +36,7 @@ from sweeps.spec import SweepError
 from sweeps.store import Tally, open_store
 from sweeps.validation import parse
 from tests.faults import TORTURE, Calls, Disk, Killed, build
+from tests.victim import BLOCKS, CELLS, keep, work
 
 # Five scenarios in blocks of two; the small sweep is the beginning of the whole one.
 TEXT = """
@@ -191,8 +195,15 @@ def contents(path):
 
 def sound(path, stores, cells=0, taken_out=()):
     """Every row of a ledger is true, `cells` are done at least, and `verify` finds nothing."""
+    true_to(path, stores.expected[open_store(path).grid.cells], cells)
+    problems = verify.verify(path).problems
+    assert {problem.block for problem in problems} <= set(taken_out), problems
+
+
+def true_to(path, expected, cells):
+    """Every row of a ledger is true, and `cells` are done at least."""
     store = open_store(path)
-    expected, rows = stores.expected[store.grid.cells], store.rows()
+    rows = store.rows()
     for row in rows:
         for name, stamp in row.files.items():
             file = store.file(name, row.block)
@@ -202,8 +213,6 @@ def sound(path, stores, cells=0, taken_out=()):
                 assert content == expected[str(file.relative_to(path))], file
     done = [cells_of(store.grid.block(row.block)) for row in rows if row.outcome == DONE]
     assert sum(done) >= cells
-    problems = verify.verify(path).problems
-    assert {problem.block for problem in problems} <= set(taken_out), problems
 
 
 def settle(path, stores, damaged=False):
@@ -511,3 +520,100 @@ def test_what_is_no_part_of_a_store_is_found_and_left(memory, stores, quick, nam
         assert problem.foreign
         repaired(path)
         assert (path / name).read_text() == "precious"
+
+
+class Victim:
+    """A process at work on a store; `said` is what it told."""
+
+    def __init__(self, context, path, program):
+        self.said, self.began = [], time.monotonic()
+        self.pipe, theirs = context.Pipe(duplex=False)
+        self.process = context.Process(target=work, args=(path, program, theirs))
+        self.process.start()
+        theirs.close()
+
+    def listen(self, seconds, done=math.inf):
+        """For so long, or until it has done that many cells, or is at its end."""
+        deadline = time.monotonic() + seconds
+        while (left := deadline - time.monotonic()) > 0:
+            if not self.pipe.poll(left):
+                return
+            try:
+                self.said.append(self.pipe.recv())
+            except EOFError:
+                return
+            self.ended = time.monotonic()
+            if self.done >= done:
+                return
+
+    def kill(self):
+        self.process.kill()
+        self.process.join()
+        self.listen(1)
+        self.pipe.close()
+
+    @property
+    def done(self):
+        return max((cells for cells in self.said if isinstance(cells, int)), default=0)
+
+
+@pytest.fixture(scope="module")
+def forks():
+    """Processes with everything imported and nothing started, in a hundredth of a second."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["tests.victim"])
+    return context
+
+
+def killed_in(path, victim):
+    """In which phase a process was killed."""
+    if victim.said and victim.said[-1] == "ended":
+        return "after its end"
+    if not path.exists():
+        return "before there was a store"
+    if list(path.rglob(f"*{PARTIAL}")) or (path / f"{NAME}-journal").exists():
+        return "in a commit"
+    rows = [row.files for row in open_store(path).rows()]
+    if len(list(path.glob("*/c.*.*"))) > sum(len(files) for files in rows):
+        return "in a commit"
+    return "between two commits" if victim.done else "before its first block"
+
+
+def test_killed_processes_lose_nothing(tmp_path, forks):
+    """SIGKILL at a random time of a run, or just after it told of a block: while the next one is
+    committed."""
+    chance, phases, folder = random.Random(3), Counter(), tmp_path
+    program, path = folder / "program", folder / "tiny.zarr"
+    keeping = forks.Process(target=keep, args=(program,))
+    keeping.start()
+    keeping.join()
+    whole = Victim(forks, folder / "whole", program)
+    whole.listen(300)
+    whole.process.join()
+    assert whole.said[-2:] == [CELLS, "ended"]
+    lasts, expected = whole.ended - whole.began, contents(folder / "whole")
+    stores = kills = acknowledged = 0
+    while kills < many(40, 1000) or path.exists():
+        victim = Victim(forks, path, program)
+        if chance.random() < 0.5:
+            victim.listen(chance.uniform(0, lasts))
+        else:
+            victim.listen(200, 0)  # how far it was
+            left = BLOCKS - victim.done * BLOCKS // CELLS
+            victim.listen(200, victim.done + chance.randrange(left + 1) * CELLS // BLOCKS)
+            time.sleep(chance.uniform(0, 0.02))
+        victim.kill()
+        kills += 1
+        phases[killed_in(path, victim)] += 1
+        acknowledged = max(acknowledged, victim.done)
+        if path.exists():
+            true_to(path, expected, acknowledged)
+        assert path.exists() or not acknowledged
+        if "ended" in victim.said:
+            assert contents(path) == expected
+            assert not verify.verify(path).problems
+            shutil.rmtree(path)
+            stores, acknowledged = stores + 1, 0
+    tell(f"{kills} kills, {stores} stores finished, a run of {lasts:.2f} s; killed {dict(phases)}")
+    assert phases["in a commit"] + phases["between two commits"] > kills / 4
+    assert phases["before its first block"] and phases["after its end"]
