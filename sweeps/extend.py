@@ -11,7 +11,7 @@ import numpy as np
 
 from fic_jax import CHOICES, Model, Params
 from sweeps import durable
-from sweeps.commit import Values, Writer, changing, no_values, now
+from sweeps.commit import Values, Writer, changing, intact, no_values, now
 from sweeps.durable import PARTIAL
 from sweeps.grid import Grid, shape_of
 from sweeps.layout import building, lay_out, refuse_small_disk
@@ -33,13 +33,14 @@ def extend(store: Store, plan: Sweep, source: str) -> Store:
         problems = list(_losses(store.grid, grid))
     if problems:
         raise SweepError("\n".join(f"{source}: {told}" for told in problems))
-    missing = store.missing()
-    if missing:
-        raise store.damaged(f"{len(missing):,} files of finished blocks are missing")
     path, partial = store.path, store.path.with_name(f".{store.path.name}{PARTIAL}")
     refuse_small_disk(path, grid, store.dtype)
     attributes = {key: store.group.attrs[key] for key in KEPT} | {"extended": now()}
-    with changing(store), building(partial):
+    # in this order the new store is owned until it is sealed
+    with building(partial), changing(store):
+        wrong = sum(1 for row in store.rows() for _ in _wrong(store, row))
+        if wrong:  # a whole file in the place of another would be carried over
+            raise store.damaged(f"{wrong:,} files of finished blocks are not as written")
         lay_out(partial, grid, attributes)
         writer = Writer(open_store(partial))
         for values, row in _carried(store, grid):
@@ -50,6 +51,10 @@ def extend(store: Store, plan: Sweep, source: str) -> Store:
         durable.sync(path.parent)
     shutil.rmtree(_away(path), ignore_errors=True)
     return open_store(path)
+
+
+def _wrong(store: Store, row: Row) -> Iterator[str]:
+    return (n for n, stamp in row.files.items() if not intact(store.file(n, row.block), stamp))
 
 
 def recover(path: Path) -> None:
