@@ -29,7 +29,7 @@ from sweeps import extend, layout, runner, verify
 from sweeps.commit import Writer
 from sweeps.durable import PARTIAL
 from sweeps.grid import Grid, cells_of
-from sweeps.ledger import DONE, NAME, PARTLY, SEAL, SET_ASIDE, Stamp
+from sweeps.ledger import DONE, NAME, PARTLY, SEAL, SET_ASIDE, Ledger, Stamp, _opened
 from sweeps.owner import NAME as LOCK
 from sweeps.provenance import KEPT
 from sweeps.spec import SweepError
@@ -450,7 +450,7 @@ def linked(file, _):
 
 def swapped(file, chance):
     """With another file of the same folder, if there is one."""
-    others = [other for other in file.parent.iterdir() if other.read_bytes() != file.read_bytes()]
+    others = [p for p in file.parent.iterdir() if p.read_bytes() != file.read_bytes()]
     if others:
         other = chance.choice(others)
         one, two = file.read_bytes(), other.read_bytes()
@@ -617,3 +617,34 @@ def test_killed_processes_lose_nothing(tmp_path, forks):
     tell(f"{kills} kills, {stores} stores finished, a run of {lasts:.2f} s; killed {dict(phases)}")
     assert phases["in a commit"] + phases["between two commits"] > kills / 4
     assert phases["before its first block"] and phases["after its end"]
+
+
+def test_a_damaged_store_is_not_extended(memory, stores, quick):
+    """Two whole files in each other's place would pass for the numbers of other scenarios."""
+    with case(memory, stores.folder / "small") as path:
+        (path / "nmse/c.0").rename(path / "nmse/kept")
+        (path / "nmse/c.1").rename(path / "nmse/c.0")
+        (path / "nmse/kept").rename(path / "nmse/c.1")
+        with pytest.raises(SweepError, match="2 files of finished blocks are not as written"):
+            enlarge(path)
+        assert open_store(path).grid.cells == 3
+        assert os.listdir(path.parent) == [path.name]
+
+
+def test_a_store_that_became_another_is_refused(memory, stores, quick):
+    """It was opened, then another process extended it."""
+    with case(memory, stores.folder / "small") as path:
+        opened = open_store(path)
+        enlarge(path)
+        with pytest.raises(SweepError, match="was changed by another process; try again"):
+            run(opened)
+        settle(path, stores)
+
+
+def test_a_commit_survives_a_power_cut():
+    """In SQLite's words: with EXTRA the journal's end, which is the commit, is flushed as well."""
+    with tempfile.TemporaryDirectory() as folder:
+        Ledger.create(Path(folder) / NAME)
+        with _opened(Path(folder) / NAME, "rw") as database:
+            assert database.execute("PRAGMA synchronous").fetchone() == (3,)
+            assert database.execute("PRAGMA journal_mode").fetchone() == ("delete",)
