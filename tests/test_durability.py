@@ -10,11 +10,15 @@ import math
 import multiprocessing
 import os
 import random
+import re
 import shutil
+import signal
+import socket
 import sqlite3
 import sys
 import tempfile
 import time
+import warnings
 from collections import Counter
 from concurrent.futures import Future
 from contextlib import contextmanager
@@ -25,7 +29,7 @@ import numpy as np
 import pytest
 
 from fic_jax import Metrics
-from sweeps import extend, layout, runner, verify
+from sweeps import cli, extend, layout, runner, verify
 from sweeps.commit import Writer
 from sweeps.durable import PARTIAL
 from sweeps.grid import Grid, cells_of
@@ -36,7 +40,7 @@ from sweeps.spec import SweepError
 from sweeps.store import Tally, open_store
 from sweeps.validation import parse
 from tests.faults import TORTURE, Calls, Disk, Killed, build
-from tests.victim import BLOCKS, CELLS, keep, work
+from tests.victim import BLOCKS, CELLS, keep, own, work
 
 # Five scenarios in blocks of two; the small sweep is the beginning of the whole one.
 TEXT = """
@@ -120,7 +124,8 @@ class Stores:
     """A folder of stores to begin a case with, and what each size must come to, file by file.
 
     `whole` and `small` are finished; of `begun`, of the whole sweep, a block is done, one in part
-    and one is set aside; of `damaged` the record, a coordinate and the ledger are not as written.
+    and one is set aside; of `damaged` the record, a coordinate and the ledger are not as written,
+    of `bad` a block.
     """
 
     def __init__(self, folder):
@@ -131,6 +136,8 @@ class Stores:
         self.expected = {n: contents(folder / name) for n, name in ((5, "whole"), (3, "small"))}
         self._begin()
         self._damage()
+        shutil.copytree(folder / "whole", folder / "bad")
+        flip(folder / "bad/nmse/c.1", 99)
 
     def _begin(self):
         shutil.copytree(self.folder / "small", self.folder / "begun")
@@ -648,3 +655,130 @@ def test_a_commit_survives_a_power_cut():
         with _opened(Path(folder) / NAME, "rw") as database:
             assert database.execute("PRAGMA synchronous").fetchone() == (3,)
             assert database.execute("PRAGMA journal_mode").fetchone() == ("delete",)
+
+
+@pytest.mark.parametrize("place", ["tiny.zarr", f".tiny.zarr{PARTIAL}"])
+def test_a_second_process_is_refused_until_the_first_is_gone(
+    memory, stores, quick, forks, place, capsys
+):
+    """One that changes a store, or one that is just making it."""
+    made = place == "tiny.zarr"
+    with case(memory, made and stores.folder / "begun") as path:
+        owned = path.with_name(place)
+        owned.mkdir(exist_ok=True)
+        pipe, theirs = forks.Pipe(duplex=False)
+        first = forks.Process(target=own, args=(owned, theirs))
+        first.start()
+        assert pipe.recv() == "owned"
+        told = f"is being changed by process {first.pid} on {socket.gethostname()}"
+        for deed in (go_on, mend) if made else (create,):
+            with pytest.raises(SweepError, match=f"{place}: {told}; wait for it to end"):
+                deed(path, stores, Told())
+        if made:
+            assert command(capsys, "resume", path)[:2] == (
+                2,
+                [f"{path}: {told}; wait for it to end"],
+            )
+        first.kill()
+        first.join()
+        settle(path, stores)
+
+
+def command(capsys, *arguments):
+    """`fic-sweep` in this process: its exit code, what it told, and what it printed.
+
+    JAX and the signals stay as they are.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["fic-sweep", *map(str, arguments)])
+        patch.setattr(runner, "configure", lambda precision: None)
+        patch.setattr(signal, "signal", lambda *_: None)
+        patch.setattr(warnings, "showwarning", warnings.showwarning)
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+    out, err = capsys.readouterr()
+    return end.value.code, [line.removeprefix("fic-sweep: ") for line in err.splitlines()], out
+
+
+def revoked_from(number):
+    return lambda call: errno.EACCES if call.number >= number >= 0 else None
+
+
+@pytest.fixture(scope="module")
+def larger(memory):
+    (memory / "whole.toml").write_text(TEXT)
+    return memory / "whole.toml"
+
+
+COMMANDS = [
+    (["resume"], "begun"),
+    (["resume", "--extend", "whole.toml"], "small"),
+    (["verify", "--repair"], "damaged"),
+    (["verify", "--repair"], "bad"),
+]
+
+
+@pytest.mark.parametrize("fault", [full_from, revoked_from])
+@pytest.mark.parametrize(("asked", "source"), COMMANDS)
+def test_what_the_system_refuses_is_one_line_and_exit_1(
+    memory, stores, quick, larger, capsys, fault, asked, source
+):
+    arguments = [str(larger) if word == "whole.toml" else word for word in asked]
+    calls, numbers, ended = [], [-1], Counter()
+    while numbers:
+        number = numbers.pop()
+        with case(memory, stores.folder / source) as path:
+            with Calls(path.parent, fault(number)) as disk:
+                code, told, out = command(capsys, arguments[0], path, *arguments[1:])
+            if number < 0:
+                assert code == 0, (told, out)
+                calls = disk.made
+                numbers = list(range(0, len(calls), max(1, len(calls) // many(6, 200))))
+            else:
+                ended[code] += 1
+                if told:  # of a damaged store whose ledger can't be read, what it is can't be told
+                    (line,) = told
+                    lost = source == "damaged" and ": is no result store" in line
+                    assert (code == 2) if lost else (code == 1 and " kept" in line), line
+                else:
+                    assert code == 0 or (asked[0] == "verify" and "not as written" in out)
+            if source in ("damaged", "bad") and verify.verify(path).problems:
+                repaired(path)
+            settle(path, stores)
+    tell(f"{' '.join(asked)}: {fault.__name__} a call, exit codes {dict(ended)}")
+    assert ended[1] > ended[0]
+
+
+def test_a_folder_that_vanishes_ends_a_run_in_one_line(memory, stores, quick, capsys):
+    with case(memory, stores.folder / "begun") as path:
+        aside = path.with_name("aside")
+
+        def fault(call):
+            if call.name == "replace" and path.exists():
+                disk._real["rename"](path, aside)
+
+        with Calls(path.parent, fault) as disk:
+            code, told, _ = command(capsys, "resume", path)
+        assert (code, len(told)) == (1, 1)
+        assert re.fullmatch(
+            r"failed: .*No such file or directory; what was finished is kept if the folder is, "
+            r"`fic-sweep resume .*tiny.zarr` does the rest",
+            told[0],
+        )
+        aside.rename(path)
+        settle(path, stores)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write where nobody may")
+def test_a_read_only_folder_is_told_in_one_line(memory, stores, quick, capsys):
+    with case(memory, stores.folder / "begun") as path:
+        folders = [path, *(folder for folder in path.rglob("*") if folder.is_dir())]
+        (path / LOCK).chmod(0o444)
+        for folder in folders:
+            folder.chmod(0o555)
+        code, (line,), _ = command(capsys, "resume", path)
+        assert (code, "Permission denied; 1 of 3 blocks are kept" in line) == (1, True), line
+        for folder in folders:
+            folder.chmod(0o755)
+        (path / LOCK).chmod(0o644)
+        settle(path, stores)

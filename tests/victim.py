@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import time
 from functools import cache
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -14,6 +15,7 @@ from numcodecs.blosc import get_mutex
 from fic_jax import engine
 from sweeps import runner
 from sweeps.cache import VARIABLE
+from sweeps.owner import owning
 from sweeps.validation import parse
 
 get_mutex()  # once for all processes forked from one that has imported this
@@ -64,3 +66,10 @@ def load(program: Path) -> None:
         return deserialize_and_load(*pickle.loads(program.read_bytes())), sharding, result
 
     engine._compiled = compiled
+
+
+def own(path: Path, told: Connection) -> None:
+    """Hold a store, or a folder in which one is made, until killed."""
+    with owning(path):
+        told.send("owned")
+        time.sleep(600)
