@@ -136,11 +136,12 @@ def resume(
     sweep = _load(extend, None) if extend else None
     from sweeps import extend as extension
 
-    extension.recover(path)
-    store = _reopened(path)
-    if extend and sweep:
-        _warn(sweep)
-        store = extension.extend(store, sweep, str(_find(extend)))
+    with _kept(path):
+        extension.recover(path)
+        store = _reopened(path)
+        if extend and sweep:
+            _warn(sweep)
+            store = extension.extend(store, sweep, str(_find(extend)))
     _carry_out(store, asked)
 
 
@@ -158,23 +159,36 @@ def verify(
         print("\n".join(verification(path, report)), flush=True)
         return report
 
-    report = look()
-    if repair and report.frame:
-        check.mend_frame(path)
+    with _kept(path):
         report = look()
-    blocks = report.bad_blocks
-    if repair and blocks:
-        print(f"{path}: computing {many(len(blocks), 'block')} again", flush=True)
-        asked, store = _stop_between_blocks(), _reopened(path)
-        try:
-            other = check.recompute(store, blocks, lambda told: _stop_if(asked, told))
-        except (KeyboardInterrupt, OSError) as error:
-            print(f"fic-sweep: {interruption(store, error)}", file=sys.stderr)
-            raise typer.Exit(1) from None
-        for block in other:
-            print(f"fic-sweep: {path}: block {block} came out different", file=sys.stderr)
-        report = look()
+        if repair and report.frame:
+            check.mend_frame(path)
+            report = look()
+        blocks = report.bad_blocks
+        if repair and blocks:
+            print(f"{path}: computing {many(len(blocks), 'block')} again", flush=True)
+            asked, store = _stop_between_blocks(), _reopened(path)
+            try:
+                other = check.recompute(store, blocks, lambda told: _stop_if(asked, told))
+            except KeyboardInterrupt as error:
+                print(f"fic-sweep: {interruption(store, error)}", file=sys.stderr)
+                raise typer.Exit(1) from None
+            for block in other:
+                print(f"fic-sweep: {path}: block {block} came out different", file=sys.stderr)
+            report = look()
     raise typer.Exit(1 if report.problems else 0)
+
+
+@contextmanager
+def _kept(path: Path) -> Iterator[None]:
+    """What the system refuses while a store is changed or looked at: one line, and exit 1."""
+    from sweeps.messages import refusal
+
+    try:
+        yield
+    except OSError as error:
+        print(f"fic-sweep: {refusal(path, error)}", file=sys.stderr)
+        raise typer.Exit(1) from None
 
 
 def _reopened(path: Path) -> "Store":
@@ -424,7 +438,8 @@ def _carry_out(store: "Store", asked: list[int]) -> None:
             print(f"fic-sweep: {interruption(store, error)}", file=sys.stderr)
             raise typer.Exit(1) from None
         result = run(store, lambda _: None)  # the block in hand was the last: only its end is left
-    print(summary(store, result))
+    with _kept(store.path):
+        print(summary(store, result))
     if result.set_aside:
         for line in failure(store, result):
             print(f"fic-sweep: {line}", file=sys.stderr)

@@ -136,6 +136,9 @@ def changing(store: Store) -> Iterator[tuple[Writer, Owner]]:
         if (store.path / name).is_symlink():  # somebody else's store could write elsewhere
             raise SweepError(f"{store.path}: its {name} is a link; a store is one folder")
     with owning(store.path) as owner:
+        found = zarr.open_group(store.path, mode="r").attrs
+        if any(found[key] != store.group.attrs[key] for key in ("sweep", "block_cells")):
+            raise SweepError(f"{store.path}: was changed by another process; try again")
         store.check_frame()
         (store.path / ledgers.SEAL).unlink(missing_ok=True)
         for pattern in (f"*{durable.PARTIAL}", f"*/*{durable.PARTIAL}"):

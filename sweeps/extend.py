@@ -33,12 +33,14 @@ def extend(store: Store, plan: Sweep, source: str) -> Store:
         problems = list(_losses(store.grid, grid))
     if problems:
         raise SweepError("\n".join(f"{source}: {told}" for told in problems))
-    store.refuse_missing()
     path, partial = store.path, store.path.with_name(f".{store.path.name}{PARTIAL}")
     refuse_small_disk(path, grid, store.dtype)
     attributes = {key: store.group.attrs[key] for key in KEPT} | {"extended": now()}
-    with changing(store), building(partial):
-        _check_blocks(store)
+    # in this order the new store is owned until it is sealed
+    with building(partial), changing(store):
+        wrong = sum(1 for row in store.rows() for _ in _wrong(store, row))
+        if wrong:  # a whole file in the place of another would be carried over
+            raise store.damaged(f"{wrong:,} files of finished blocks are not as written")
         lay_out(partial, grid, attributes)
         writer = Writer(open_store(partial))
         for values, row in _carried(store, grid):
@@ -51,12 +53,8 @@ def extend(store: Store, plan: Sweep, source: str) -> Store:
     return open_store(path)
 
 
-def _check_blocks(store: Store) -> None:
-    """Raise SweepError where a number would be carried over that nobody computed."""
-    for row in store.rows():
-        for name, stamp in row.files.items():
-            if not intact(store.file(name, row.block), stamp):
-                raise store.damaged(f"block {row.block} is not as it was written")
+def _wrong(store: Store, row: Row) -> Iterator[str]:
+    return (n for n, stamp in row.files.items() if not intact(store.file(n, row.block), stamp))
 
 
 def recover(path: Path) -> None:

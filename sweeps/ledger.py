@@ -226,7 +226,8 @@ def _opened(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
         address = f"{path.absolute().as_uri()}?mode={mode}"
         # another process may be reading: it is done in no time
         with closing(sqlite3.connect(address, uri=True, timeout=60)) as database:
-            database.execute("PRAGMA synchronous = FULL")
+            # a commit ends with the journal taken away, which FULL does not flush
+            database.execute("PRAGMA synchronous = EXTRA")
             database.execute("PRAGMA trusted_schema = OFF")
             database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST)
             tables = database.execute("SELECT sql FROM sqlite_schema WHERE sql IS NOT NULL")

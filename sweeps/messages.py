@@ -162,6 +162,11 @@ def interruption(store: Store, error: BaseException) -> str:
     return f"{why}; {kept} of {total} blocks are kept, {go_on}"
 
 
+def refusal(path: Path, error: OSError) -> str:
+    """What the system refused while a store was changed, or looked at."""
+    return f"{path}: failed: {_reason(error)}; what was finished is kept"
+
+
 def _reason(error: BaseException) -> str:
     """What the system said, and about which file."""
     told = getattr(error, "strerror", None) or str(error)

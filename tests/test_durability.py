@@ -6,12 +6,19 @@
 import asyncio
 import errno
 import json
+import math
+import multiprocessing
 import os
 import random
+import re
 import shutil
+import signal
+import socket
 import sqlite3
 import sys
 import tempfile
+import time
+import warnings
 from collections import Counter
 from concurrent.futures import Future
 from contextlib import contextmanager
@@ -22,17 +29,18 @@ import numpy as np
 import pytest
 
 from fic_jax import Metrics
-from sweeps import extend, layout, runner, verify
+from sweeps import cli, extend, layout, runner, verify
 from sweeps.commit import Writer
 from sweeps.durable import PARTIAL
 from sweeps.grid import Grid, cells_of
-from sweeps.ledger import DONE, NAME, PARTLY, SEAL, SET_ASIDE, Stamp
+from sweeps.ledger import DONE, NAME, PARTLY, SEAL, SET_ASIDE, Ledger, Stamp, _opened
 from sweeps.owner import NAME as LOCK
 from sweeps.provenance import KEPT
 from sweeps.spec import SweepError
 from sweeps.store import Tally, open_store
 from sweeps.validation import parse
 from tests.faults import TORTURE, Calls, Disk, Killed, build
+from tests.victim import BLOCKS, CELLS, keep, own, work
 
 # Five scenarios in blocks of two; the small sweep is the beginning of the whole one.
 TEXT = """
@@ -116,7 +124,8 @@ class Stores:
     """A folder of stores to begin a case with, and what each size must come to, file by file.
 
     `whole` and `small` are finished; of `begun`, of the whole sweep, a block is done, one in part
-    and one is set aside; of `damaged` the record, a coordinate and the ledger are not as written.
+    and one is set aside; of `damaged` the record, a coordinate and the ledger are not as written,
+    of `bad` a block.
     """
 
     def __init__(self, folder):
@@ -127,6 +136,8 @@ class Stores:
         self.expected = {n: contents(folder / name) for n, name in ((5, "whole"), (3, "small"))}
         self._begin()
         self._damage()
+        shutil.copytree(folder / "whole", folder / "bad")
+        flip(folder / "bad/nmse/c.1", 99)
 
     def _begin(self):
         shutil.copytree(self.folder / "small", self.folder / "begun")
@@ -191,8 +202,15 @@ def contents(path):
 
 def sound(path, stores, cells=0, taken_out=()):
     """Every row of a ledger is true, `cells` are done at least, and `verify` finds nothing."""
+    true_to(path, stores.expected[open_store(path).grid.cells], cells)
+    problems = verify.verify(path).problems
+    assert {problem.block for problem in problems} <= set(taken_out), problems
+
+
+def true_to(path, expected, cells):
+    """Every row of a ledger is true, and `cells` are done at least."""
     store = open_store(path)
-    expected, rows = stores.expected[store.grid.cells], store.rows()
+    rows = store.rows()
     for row in rows:
         for name, stamp in row.files.items():
             file = store.file(name, row.block)
@@ -202,8 +220,6 @@ def sound(path, stores, cells=0, taken_out=()):
                 assert content == expected[str(file.relative_to(path))], file
     done = [cells_of(store.grid.block(row.block)) for row in rows if row.outcome == DONE]
     assert sum(done) >= cells
-    problems = verify.verify(path).problems
-    assert {problem.block for problem in problems} <= set(taken_out), problems
 
 
 def settle(path, stores, damaged=False):
@@ -441,7 +457,7 @@ def linked(file, _):
 
 def swapped(file, chance):
     """With another file of the same folder, if there is one."""
-    others = [other for other in file.parent.iterdir() if other.read_bytes() != file.read_bytes()]
+    others = [p for p in file.parent.iterdir() if p.read_bytes() != file.read_bytes()]
     if others:
         other = chance.choice(others)
         one, two = file.read_bytes(), other.read_bytes()
@@ -511,3 +527,258 @@ def test_what_is_no_part_of_a_store_is_found_and_left(memory, stores, quick, nam
         assert problem.foreign
         repaired(path)
         assert (path / name).read_text() == "precious"
+
+
+class Victim:
+    """A process at work on a store; `said` is what it told."""
+
+    def __init__(self, context, path, program):
+        self.said, self.began = [], time.monotonic()
+        self.pipe, theirs = context.Pipe(duplex=False)
+        self.process = context.Process(target=work, args=(path, program, theirs))
+        self.process.start()
+        theirs.close()
+
+    def listen(self, seconds, done=math.inf):
+        """For so long, or until it has done that many cells, or is at its end."""
+        deadline = time.monotonic() + seconds
+        while (left := deadline - time.monotonic()) > 0:
+            if not self.pipe.poll(left):
+                return
+            try:
+                self.said.append(self.pipe.recv())
+            except EOFError:
+                return
+            self.ended = time.monotonic()
+            if self.done >= done:
+                return
+
+    def kill(self):
+        self.process.kill()
+        self.process.join()
+        self.listen(1)
+        self.pipe.close()
+
+    @property
+    def done(self):
+        return max((cells for cells in self.said if isinstance(cells, int)), default=0)
+
+
+@pytest.fixture(scope="module")
+def forks():
+    """Processes with everything imported and nothing started, in a hundredth of a second."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["tests.victim"])
+    return context
+
+
+def killed_in(path, victim):
+    """In which phase a process was killed."""
+    if victim.said and victim.said[-1] == "ended":
+        return "after its end"
+    if not path.exists():
+        return "before there was a store"
+    if list(path.rglob(f"*{PARTIAL}")) or (path / f"{NAME}-journal").exists():
+        return "in a commit"
+    rows = [row.files for row in open_store(path).rows()]
+    if len(list(path.glob("*/c.*.*"))) > sum(len(files) for files in rows):
+        return "in a commit"
+    return "between two commits" if victim.done else "before its first block"
+
+
+def test_killed_processes_lose_nothing(tmp_path, forks):
+    """SIGKILL at a random time of a run, or just after it told of a block: while the next one is
+    committed."""
+    chance, phases, folder = random.Random(3), Counter(), tmp_path
+    program, path = folder / "program", folder / "tiny.zarr"
+    keeping = forks.Process(target=keep, args=(program,))
+    keeping.start()
+    keeping.join()
+    whole = Victim(forks, folder / "whole", program)
+    whole.listen(300)
+    whole.process.join()
+    assert whole.said[-2:] == [CELLS, "ended"]
+    lasts, expected = whole.ended - whole.began, contents(folder / "whole")
+    stores = kills = acknowledged = 0
+    while kills < many(40, 1000) or path.exists():
+        victim = Victim(forks, path, program)
+        if chance.random() < 0.5:
+            victim.listen(chance.uniform(0, lasts))
+        else:
+            victim.listen(200, 0)  # how far it was
+            left = BLOCKS - victim.done * BLOCKS // CELLS
+            victim.listen(200, victim.done + chance.randrange(left + 1) * CELLS // BLOCKS)
+            time.sleep(chance.uniform(0, 0.02))
+        victim.kill()
+        kills += 1
+        phases[killed_in(path, victim)] += 1
+        acknowledged = max(acknowledged, victim.done)
+        if path.exists():
+            true_to(path, expected, acknowledged)
+        assert path.exists() or not acknowledged
+        if "ended" in victim.said:
+            assert contents(path) == expected
+            assert not verify.verify(path).problems
+            shutil.rmtree(path)
+            stores, acknowledged = stores + 1, 0
+    tell(f"{kills} kills, {stores} stores finished, a run of {lasts:.2f} s; killed {dict(phases)}")
+    assert phases["in a commit"] + phases["between two commits"] > kills / 4
+    assert phases["before its first block"] and phases["after its end"]
+
+
+def test_a_damaged_store_is_not_extended(memory, stores, quick):
+    """Two whole files in each other's place would pass for the numbers of other scenarios."""
+    with case(memory, stores.folder / "small") as path:
+        (path / "nmse/c.0").rename(path / "nmse/kept")
+        (path / "nmse/c.1").rename(path / "nmse/c.0")
+        (path / "nmse/kept").rename(path / "nmse/c.1")
+        with pytest.raises(SweepError, match="2 files of finished blocks are not as written"):
+            enlarge(path)
+        assert open_store(path).grid.cells == 3
+        assert os.listdir(path.parent) == [path.name]
+
+
+def test_a_store_that_became_another_is_refused(memory, stores, quick):
+    """It was opened, then another process extended it."""
+    with case(memory, stores.folder / "small") as path:
+        opened = open_store(path)
+        enlarge(path)
+        with pytest.raises(SweepError, match="was changed by another process; try again"):
+            run(opened)
+        settle(path, stores)
+
+
+def test_a_commit_survives_a_power_cut():
+    """In SQLite's words: with EXTRA the journal's end, which is the commit, is flushed as well."""
+    with tempfile.TemporaryDirectory() as folder:
+        Ledger.create(Path(folder) / NAME)
+        with _opened(Path(folder) / NAME, "rw") as database:
+            assert database.execute("PRAGMA synchronous").fetchone() == (3,)
+            assert database.execute("PRAGMA journal_mode").fetchone() == ("delete",)
+
+
+@pytest.mark.parametrize("place", ["tiny.zarr", f".tiny.zarr{PARTIAL}"])
+def test_a_second_process_is_refused_until_the_first_is_gone(
+    memory, stores, quick, forks, place, capsys
+):
+    """One that changes a store, or one that is just making it."""
+    made = place == "tiny.zarr"
+    with case(memory, made and stores.folder / "begun") as path:
+        owned = path.with_name(place)
+        owned.mkdir(exist_ok=True)
+        pipe, theirs = forks.Pipe(duplex=False)
+        first = forks.Process(target=own, args=(owned, theirs))
+        first.start()
+        assert pipe.recv() == "owned"
+        told = f"is being changed by process {first.pid} on {socket.gethostname()}"
+        for deed in (go_on, mend) if made else (create,):
+            with pytest.raises(SweepError, match=f"{place}: {told}; wait for it to end"):
+                deed(path, stores, Told())
+        if made:
+            assert command(capsys, "resume", path)[:2] == (
+                2,
+                [f"{path}: {told}; wait for it to end"],
+            )
+        first.kill()
+        first.join()
+        settle(path, stores)
+
+
+def command(capsys, *arguments):
+    """`fic-sweep` in this process: its exit code, what it told, and what it printed.
+
+    JAX and the signals stay as they are.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["fic-sweep", *map(str, arguments)])
+        patch.setattr(runner, "configure", lambda precision: None)
+        patch.setattr(signal, "signal", lambda *_: None)
+        patch.setattr(warnings, "showwarning", warnings.showwarning)
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+    out, err = capsys.readouterr()
+    return end.value.code, [line.removeprefix("fic-sweep: ") for line in err.splitlines()], out
+
+
+def revoked_from(number):
+    return lambda call: errno.EACCES if call.number >= number >= 0 else None
+
+
+@pytest.fixture(scope="module")
+def larger(memory):
+    (memory / "whole.toml").write_text(TEXT)
+    return memory / "whole.toml"
+
+
+COMMANDS = [
+    (["resume"], "begun"),
+    (["resume", "--extend", "whole.toml"], "small"),
+    (["verify", "--repair"], "damaged"),
+    (["verify", "--repair"], "bad"),
+]
+
+
+@pytest.mark.parametrize("fault", [full_from, revoked_from])
+@pytest.mark.parametrize(("asked", "source"), COMMANDS)
+def test_what_the_system_refuses_is_one_line_and_exit_1(
+    memory, stores, quick, larger, capsys, fault, asked, source
+):
+    arguments = [str(larger) if word == "whole.toml" else word for word in asked]
+    calls, numbers, ended = [], [-1], Counter()
+    while numbers:
+        number = numbers.pop()
+        with case(memory, stores.folder / source) as path:
+            with Calls(path.parent, fault(number)) as disk:
+                code, told, out = command(capsys, arguments[0], path, *arguments[1:])
+            if number < 0:
+                assert code == 0, (told, out)
+                calls = disk.made
+                numbers = list(range(0, len(calls), max(1, len(calls) // many(6, 200))))
+            else:
+                ended[code] += 1
+                if told:  # of a damaged store whose ledger can't be read, what it is can't be told
+                    (line,) = told
+                    lost = source == "damaged" and ": is no result store" in line
+                    assert (code == 2) if lost else (code == 1 and " kept" in line), line
+                else:
+                    assert code == 0 or (asked[0] == "verify" and "not as written" in out)
+            if source in ("damaged", "bad") and verify.verify(path).problems:
+                repaired(path)
+            settle(path, stores)
+    tell(f"{' '.join(asked)}: {fault.__name__} a call, exit codes {dict(ended)}")
+    assert ended[1] > ended[0]
+
+
+def test_a_folder_that_vanishes_ends_a_run_in_one_line(memory, stores, quick, capsys):
+    with case(memory, stores.folder / "begun") as path:
+        aside = path.with_name("aside")
+
+        def fault(call):
+            if call.name == "replace" and path.exists():
+                disk._real["rename"](path, aside)
+
+        with Calls(path.parent, fault) as disk:
+            code, told, _ = command(capsys, "resume", path)
+        assert (code, len(told)) == (1, 1)
+        assert re.fullmatch(
+            r"failed: .*No such file or directory; what was finished is kept if the folder is, "
+            r"`fic-sweep resume .*tiny.zarr` does the rest",
+            told[0],
+        )
+        aside.rename(path)
+        settle(path, stores)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write where nobody may")
+def test_a_read_only_folder_is_told_in_one_line(memory, stores, quick, capsys):
+    with case(memory, stores.folder / "begun") as path:
+        folders = [path, *(folder for folder in path.rglob("*") if folder.is_dir())]
+        (path / LOCK).chmod(0o444)
+        for folder in folders:
+            folder.chmod(0o555)
+        code, (line,), _ = command(capsys, "resume", path)
+        assert (code, "Permission denied; 1 of 3 blocks are kept" in line) == (1, True), line
+        for folder in folders:
+            folder.chmod(0o755)
+        (path / LOCK).chmod(0o644)
+        settle(path, stores)
