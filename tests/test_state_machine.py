@@ -41,7 +41,7 @@ from sweeps.spec import SweepError
 from tests.command import typed
 
 TORTURE = os.environ.get("FIC_TORTURE") == "1"
-EXAMPLES, STEPS = (500, 200) if TORTURE else (30, 25)
+EXAMPLES, STEPS = (500, 200) if TORTURE else (16, 25)
 MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None  # the disk is tested elsewhere
 FACTS = provenance(32)  # asks git, once
 COUNTED = Counter()  # of this session
@@ -610,8 +610,12 @@ class Store(RuleBasedStateMachine):
             counts = self.look(data)
         told = self.type("status", self.path)
         assert told.code == 0
+        outcomes, (_, blocks) = self.rows(), self.cells()
+        flags = data["status"].values.ravel().tolist()
+        # a block that was killed before its row is there, and is right, but is not done
+        noted = Counter(f if b in outcomes else 0 for f, b in zip(flags, blocks, strict=True))
         for word, flag in store.STATUS.items():
-            assert re.search(rf"^  {word} +{counts[flag]}$", told.stdout, re.M), told.stdout
+            assert re.search(rf"^  {word} +{noted[flag]}$", told.stdout, re.M), told.stdout
         target = self.folder / "table.csv"
         target.unlink(missing_ok=True)
         assert self.type("export", self.path, "--to", "csv", "--out", target).code == 0
@@ -652,7 +656,7 @@ class Store(RuleBasedStateMachine):
         told = self.type("run", self.file_of(self.plan), "--out", fresh, "--chunk", self.chunk)
         assert told.code == 0
         ours, theirs = contents(self.path), contents(fresh)
-        for notes in ("zarr.json", "ledger.sqlite", "ledger.sha256", "owner.lock"):
+        for notes in ("zarr.json", "ledger.sqlite", "ledger.sha256"):
             ours.pop(notes, None), theirs.pop(notes, None)
         assert ours == theirs
         COUNTED["finished"] += 1
