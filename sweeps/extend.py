@@ -36,7 +36,8 @@ def extend(store: Store, plan: Sweep, source: str) -> Store:
     store.refuse_missing()
     path, partial = store.path, store.path.with_name(f".{store.path.name}{PARTIAL}")
     refuse_small_disk(path, grid, store.dtype)
-    attributes = {key: store.group.attrs[key] for key in KEPT} | {"extended": now()}
+    attrs = store.group.attrs.asdict()
+    attributes = {key: attrs[key] for key in KEPT if key in attrs} | {"extended": now()}
     with changing(store), building(partial):
         _check_blocks(store)
         lay_out(partial, grid, attributes)

