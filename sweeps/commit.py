@@ -141,8 +141,10 @@ def changing(store: Store) -> Iterator[tuple[Writer, Owner]]:
             raise SweepError(f"{store.path}: was changed by another process; try again")
         store.check_frame()
         (store.path / ledgers.SEAL).unlink(missing_ok=True)
-        for pattern in (f"*{durable.PARTIAL}", f"*/*{durable.PARTIAL}"):
-            for left in store.path.glob(pattern):
+        # through no link: somebody else's store could have files removed elsewhere
+        inside = (p for p in store.path.iterdir() if p.is_dir() and not p.is_symlink())
+        for folder in (store.path, *inside):
+            for left in folder.glob(f"*{durable.PARTIAL}"):
                 left.unlink()
         durable.sync(store.path)
         try:

@@ -35,7 +35,8 @@ def extend(store: Store, plan: Sweep, source: str) -> Store:
         raise SweepError("\n".join(f"{source}: {told}" for told in problems))
     path, partial = store.path, store.path.with_name(f".{store.path.name}{PARTIAL}")
     refuse_small_disk(path, grid, store.dtype)
-    attributes = {key: store.group.attrs[key] for key in KEPT} | {"extended": now()}
+    attrs = store.group.attrs.asdict()
+    attributes = {key: attrs[key] for key in KEPT if key in attrs} | {"extended": now()}
     # in this order the new store is owned until it is sealed
     with building(partial), changing(store):
         wrong = sum(1 for row in store.rows() for _ in _wrong(store, row))

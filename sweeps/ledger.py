@@ -155,8 +155,7 @@ class Ledger:
             if told != "ok":
                 raise LedgerError(str(told).splitlines()[-1])
         seal = self.path.with_name(SEAL)
-        whole = seal.is_file() and not seal.is_symlink() and seal.read_bytes() == self.sealed()
-        if os.path.lexists(seal) and not whole:
+        if os.path.lexists(seal) and not intact(seal, Stamp.of(self.sealed())):
             raise LedgerError(f"it differs from {SEAL}, its checksum")
         list(self.rows())
         list(self.fixed())

@@ -4,12 +4,13 @@ import fcntl
 import json
 import os
 import socket
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from sweeps.spec import SweepError
+from sweeps.spec import SweepError, shown
 
 NAME = "owner.lock"
 
@@ -36,12 +37,16 @@ def owning(folder: Path) -> Iterator[Owner]:
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
     descriptor = os.open(folder / NAME, flags, 0o666)
     try:
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            raise SweepError(f"{folder}: its {NAME} is no file")
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             told = _read(descriptor)
             who = f"process {told.get('pid', '?')} on {told.get('host', '?')}"
-            raise SweepError(f"{folder}: is being changed by {who}; wait for it to end") from None
+            raise SweepError(
+                f"{folder}: is being changed by {shown(who)}; wait for it to end"
+            ) from None
         died_at = _read(descriptor).get("block")
         _note(descriptor, None)
         try:
@@ -63,6 +68,6 @@ def _note(descriptor: int, block: int | None) -> None:
 def _read(descriptor: int) -> dict[str, object]:
     try:
         told = json.loads(os.pread(descriptor, 1000, 0))
-    except ValueError:  # empty: the owner before ended well
+    except (ValueError, RecursionError):  # empty: the owner before ended well; or none of ours
         return {}
     return told if isinstance(told, dict) else {}

@@ -80,19 +80,23 @@ class Store:
         return self.path / variable / ".".join(["c", *map(str, self.grid.place(index))])
 
     def refuse_missing(self) -> None:
-        """Raise SweepError where files of finished blocks are gone: Zarr would read fill values."""
+        """Raise SweepError where files of finished blocks are gone: Zarr would read fill values.
+
+        Also where one is of another size: somebody else's could fill the memory.
+        """
         if self.ledger is None:
             return
         rows = self.rows()
         # status first: it is written last, perhaps while this looks
         there = {name: _files(self.path / name) for name in reversed(self.variables)}
-        files = (self.file(name, row.block) for row in rows for name in row.files)
-        missing = [file for file in files if file.name not in there[file.parent.name]]
+        files = ((self.file(n, row.block), stamp) for row in rows for n, stamp in row.files.items())
+        missing = [f for f, stamp in files if there[f.parent.name].pop(f.name, -1) != stamp.size]
         if missing:
             first = missing[0].relative_to(self.path)
             more = f" and {len(missing) - 1:,} more files" if len(missing) > 1 else ""
             raise self.damaged(f"lacks {first}{more}, of finished blocks")
-        if not all(there["status"] <= there[name] for name in self.variables):
+        left = there["status"].keys()  # of blocks under way
+        if not all(left <= files.keys() for files in there.values()):
             told = "a power cut left blocks half written"
             raise SweepError(f"{self.path}: {told}; `fic-sweep resume {self.path}` writes them")
 
@@ -190,7 +194,7 @@ def open_store(path: Path, mode: Any = "r") -> Store:
     for expected in _expected(store):
         if not _is(store, *expected):
             raise SweepError(f"{path}: its variable {expected[0]} is not the one of its sweep")
-    if ledger is None and any(not _plain(entry) for entry in path.rglob("*")):
+    if ledger is None and any(not plain(entry) for entry in path.rglob("*")):
         raise SweepError(f"{path}: has a link in it; a store is one folder")
     return store
 
@@ -231,30 +235,34 @@ def as_written(path: Path, one: Fixed) -> bool:
     place = path / one.path
     if intact(place, one.stamp):
         return True
-    if one.path != "zarr.json" or one.content is None or place.is_symlink():
+    if one.path != "zarr.json" or one.content is None or not (plain(place) and place.is_file()):
         return False
     try:
-        noted, told = json.loads(one.content), json.loads(place.read_bytes())
+        with place.open("rb") as file:  # not all of it: it may be any size
+            noted, told = json.loads(one.content), json.loads(file.read(LARGEST_RECORD))
         return bool(noted["attributes"].pop("end")) and noted == told
-    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return False
 
 
-def _plain(entry: Path) -> bool:
+def plain(entry: Path) -> bool:
     """Whether this is a file or a folder, and no way to anything else."""
     return not entry.is_symlink() and (entry.is_file() or entry.is_dir())
 
 
-def _files(folder: Path) -> set[str]:
-    """Names of the files in a folder. Raises SweepError where a reader would wait, or leave."""
+def _files(folder: Path) -> dict[str, int]:
+    """Size of each file in a folder. Raises SweepError where a reader would wait, or leave."""
+    sizes = {}
     try:
         with os.scandir(folder) as entries:
             for entry in entries:
                 if not entry.is_file(follow_symlinks=False):
                     raise SweepError(f"{entry.path}: is no file, as all of a store is")
-        return {name for name in os.listdir(folder) if not name.endswith(PARTIAL)}
-    except OSError:
-        return set()
+                if not entry.name.endswith(PARTIAL):
+                    sizes[entry.name] = entry.stat().st_size
+    except OSError:  # gone, or going: a process may be at it
+        return {}
+    return sizes
 
 
 def variable_names(sweep: Sweep) -> list[str]:

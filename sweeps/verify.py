@@ -14,7 +14,7 @@ from sweeps.ledger import Fixed, Ledger, LedgerError, Row, intact
 from sweeps.provenance import KEPT
 from sweeps.runner import Tell, run
 from sweeps.spec import SweepError
-from sweeps.store import Store, as_written, open_store
+from sweeps.store import Store, as_written, open_store, plain
 
 OWN = {ledgers.NAME, f"{ledgers.NAME}-journal", ledgers.SEAL, owner.NAME}
 
@@ -169,7 +169,7 @@ def _extra(store: Store, fixed: list[Fixed]) -> Iterator[Problem]:
         name = file.relative_to(store.path)
         whole = file.with_name(file.name.removesuffix(durable.PARTIAL)).relative_to(store.path)
         ours = len(name.parts) == 2 and name.parts[0] in store.variables and whole.name in blocks
-        if not (whole.as_posix() in known or ours):
+        if not (whole.as_posix() in known or ours) or not plain(file):
             yield Problem(name.as_posix(), "is not part of the store", foreign=True)
 
 
