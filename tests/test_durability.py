@@ -691,7 +691,7 @@ def command(capsys, *arguments):
     """
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", ["fic-sweep", *map(str, arguments)])
-        patch.setattr(runner, "configure", lambda precision: None)
+        patch.setattr(runner, "configure", lambda *_: None)
         patch.setattr(signal, "signal", lambda *_: None)
         patch.setattr(warnings, "showwarning", warnings.showwarning)
         with pytest.raises(SystemExit) as end:
