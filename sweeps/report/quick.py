@@ -1,7 +1,8 @@
 """Programs that compile in a fraction of a sweep's time and run slower: for many models, few runs.
 
 A model is static, so that every reading is another program; what a sweep gains by an optimised
-program it never earns back on some dozens of scenarios. Metrics and time histories come from one.
+program it never earns back on some dozens of scenarios. Metrics and time histories come from one,
+and so do all numbers of steps.
 """
 
 from functools import lru_cache, partial
@@ -16,7 +17,7 @@ from fic_jax.metrics import empty, finish, update
 from fic_jax.simulation import plant_step
 
 # Unoptimised, XLA copies all that a scan has put out so far at every turn: short inner scans.
-INNER = 100
+INNER, OUTER = 100, 100
 OPTIONS: dict[str, str | bool] = {"xla_backend_optimization_level": "0"}
 
 
@@ -25,36 +26,45 @@ def simulate(
 ) -> tuple[Metrics, Sample]:
     """Metrics [N] of scenarios with [N] leaves, and the first ones' histories [n, n_steps].
 
-    `n_steps` is a multiple of INNER.
+    `n_steps` is a multiple of INNER, at most INNER * OUTER.
     """
-    program = _compiled(model, n_steps, len(batch.K0), n_histories, np.result_type(batch.K0))
-    return jax.tree.map(np.asarray, program(batch, np.asarray(dt, batch.K0.dtype)))
+    dtype = np.result_type(batch.K0)
+    program = _compiled(model, len(batch.K0), n_histories, dtype)
+    metrics, samples = program(batch, np.asarray(dt, dtype), np.int32(n_steps))
+    histories = jax.tree.map(lambda leaf: np.asarray(leaf)[:n_steps].T, samples)
+    return jax.tree.map(np.asarray, metrics), histories
 
 
 @lru_cache(maxsize=8)
-def _compiled(model: Model, n_steps: int, n: int, n_histories: int, dtype: np.dtype) -> Any:
-    each = partial(jax.vmap, in_axes=(0, 0, None, None))
+def _compiled(model: Model, n: int, n_histories: int, dtype: np.dtype) -> Any:
+    each = partial(jax.vmap, in_axes=(0, 0, None, None, None))
 
     @each
-    def step(p: Params, carry: Any, k: jax.Array, dt: jax.Array) -> tuple[Any, Sample]:
+    def step(p: Params, carry: Any, k: Any, n_steps: Any, dt: Any) -> tuple[Any, Sample]:
         state, acc = carry
         state, sample = plant_step(p, state, model, dt)
         return (state, update(acc, sample, k, n_steps, p, model)), sample
 
-    def whole(batch: Params, dt: jax.Array) -> tuple[Metrics, Sample]:
+    def whole(batch: Params, dt: jax.Array, n_steps: Any) -> tuple[Metrics, Sample]:
         def one(carry: Any, k: jax.Array) -> tuple[Any, Sample]:
-            carry, sample = step(batch, carry, k, dt)
+            carry, sample = step(batch, carry, k, n_steps, dt)
             return carry, jax.tree.map(lambda leaf: leaf[:n_histories], sample)
 
-        def some(carry: Any, first: jax.Array) -> tuple[Any, Sample]:
-            return jax.lax.scan(one, carry, first + jnp.arange(INNER, dtype=jnp.int32))
+        def some(i: jax.Array, carry: Any) -> Any:
+            carry, kept = carry
+            carry, new = jax.lax.scan(one, carry, i * INNER + jnp.arange(INNER, dtype=jnp.int32))
+            return carry, jax.tree.map(lambda old, part: old.at[i].set(part), kept, new)
 
         start = jax.vmap(lambda p: (init(p, model), empty(p)))(batch)
-        firsts = jnp.arange(0, n_steps, INNER, dtype=jnp.int32)
-        (state, acc), samples = jax.lax.scan(some, start, firsts)
+        types = jax.eval_shape(one, start, jnp.zeros((), jnp.int32))[1]
+        kept = jax.tree.map(lambda leaf: jnp.zeros((OUTER, INNER, *leaf.shape), leaf.dtype), types)
+        (state, acc), kept = jax.lax.fori_loop(0, n_steps // INNER, some, (start, kept))
         metrics = jax.vmap(lambda a, x, v: finish(a, x, v, n_steps, dt))(acc, state.x, state.v)
-        return metrics, jax.tree.map(lambda leaf: leaf.reshape(n_steps, -1).T, samples)
+        return metrics, jax.tree.map(lambda leaf: leaf.reshape(OUTER * INNER, -1), kept)
 
     fields = Params(**dict.fromkeys(vars(Params()), jax.ShapeDtypeStruct((n,), dtype)))
-    lowered = jax.jit(whole).lower(fields, jax.ShapeDtypeStruct((), dtype))
+    steps = jax.ShapeDtypeStruct((), np.dtype(np.int32))
+    # `finish` divides by the number of steps, here an array of whole numbers
+    with jax.numpy_dtype_promotion("standard"):
+        lowered = jax.jit(whole).lower(fields, jax.ShapeDtypeStruct((), dtype), steps)
     return lowered.compile(compiler_options=OPTIONS)
