@@ -37,9 +37,8 @@ def simulate(
 
 @lru_cache(maxsize=8)
 def _compiled(model: Model, n: int, n_histories: int, dtype: np.dtype) -> Any:
-    each = partial(jax.vmap, in_axes=(0, 0, None, None, None))
-
-    @each
+    @partial(jax.jit, inline=True)  # traced once, for its types and for the loop
+    @partial(jax.vmap, in_axes=(0, 0, None, None, None))
     def step(p: Params, carry: Any, k: Any, n_steps: Any, dt: Any) -> tuple[Any, Sample]:
         state, acc = carry
         state, sample = plant_step(p, state, model, dt)
