@@ -153,7 +153,7 @@ def _solver(data: xr.Dataset) -> str:
         f"{'stays below Td' if below else 'does not stay below Td'} in the last 5 s "
         f"{'and still rises' if creeps else 'without rising everywhere'}, in all "
         f"{short.size} runs, its largest value {float(short.min()):.0f} to "
-        f"{float(short.max()):.0f} % short of it (C7). {_elsewhere(data)} For the paper's K0 = 100 "
-        "and its approaches the explanation fits, for soft controllers it does not; the authors "
-        "did not say so, and the solvers here are scipy's, not ode23t."
+        f"{float(short.max()):.0f} % short of it (C7). {_elsewhere(data)} As an "
+        "explanation it reaches no further than that, the authors did not say so, and the solvers "
+        "here are scipy's, not ode23t."
     )
