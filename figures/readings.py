@@ -23,11 +23,9 @@ FONT = 5.5  # point; names of 36 readings beside their rows
 
 
 def plot(data: xr.Dataset) -> Figure:
-    """A block of columns for each period and contact; rows from the best fit down."""
+    """A block of columns for each period and contact; rows from the best fit at 10 ms down."""
     score, verdict = data["score"], data["verdict"]
-    # by the settings that every reading has, so that no row is ranked by others than its neighbour
-    whole = score.where(score.notnull().all(["model", "claim"]))
-    order = np.argsort(-whole.mean(["setting", "claim"]).values, kind="stable")
+    order = np.argsort(-score.isel(setting=0).mean("claim").values, kind="stable")
     score, verdict = score.isel(model=order), verdict.isel(model=order)
     height = 1.2 + 0.11 * score.sizes["model"]
     with rc_context(style.RC):
@@ -45,14 +43,11 @@ def plot(data: xr.Dataset) -> Figure:
 
 
 def _block(ax: Axes, score: xr.DataArray, verdict: xr.DataArray) -> QuadMesh:
-    ax.set_facecolor("0.85")
-    values = np.ma.masked_invalid(score.transpose("model", "claim").values)
+    values = score.transpose("model", "claim").values
     mesh = ax.pcolormesh(values, cmap="Blues", norm=Normalize(0, 1), edgecolors="white", lw=0.4)
     for code, mark in MARKS.items():
         rows, columns = np.nonzero(verdict.transpose("model", "claim").values == code)
         ax.plot(columns + 0.5, rows + 0.5, ls="none", color="#D55E00", **mark)
-    if bool(score.isnull().any()):
-        ax.text(0.5, 0.02, "grey: not run", transform=ax.transAxes, ha="center", fontsize=FONT)
     claims = [str(claim) for claim in score["claim"].values]
     ax.set_xticks(np.arange(len(claims)) + 0.5, claims, rotation=90, fontsize=FONT)
     ax.tick_params(length=0)
@@ -63,11 +58,10 @@ def _block(ax: Axes, score: xr.DataArray, verdict: xr.DataArray) -> QuadMesh:
 
 def _names(ax: Axes, names: list[str]) -> None:
     ax.set_ylim(len(names), 0)
-    ax.set_yticks(np.arange(len(names)) + 0.5, names, fontsize=FONT)
+    shown = [f"{name} (default)" if name == DEFAULT else name for name in names]
+    ax.set_yticks(np.arange(len(names)) + 0.5, shown, fontsize=FONT)
     for text in ax.get_yticklabels():
-        if text.get_text() == DEFAULT:
-            text.set_fontweight("bold")
-            text.set_text(f"{DEFAULT} (default)")
+        text.set_fontweight("bold" if text.get_text().endswith("(default)") else "normal")
 
 
 def main() -> None:

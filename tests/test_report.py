@@ -234,7 +234,12 @@ def page(tmp_path):
     judgement = judge(CLAIM["C11"])
     claim = replace(judgement.claim, statement=NASTY, title=NASTY, figure="dot")
     section = Section(
-        "Beyond", "One *word*, `code`, x < y.\n\n    a < b", ("h",), ((NASTY,),), "dot", "cmd"
+        "Beyond it",
+        "One *word*, `code`, x <= y.\n\n    a < b",
+        ("|h|",),
+        (("**x** < N*m",),),
+        "dot",
+        "cmd",
     )
     return Page([replace(judgement, claim=claim)], [section], {"date": NASTY}, ["dot"])
 
@@ -263,7 +268,9 @@ def test_the_html_stands_alone_and_shows_texts_as_they_are(page, tmp_path):
     shown = page_html(page, tmp_path)
     checker.feed(shown)
     assert checker.open == []
-    assert checker.text.count(NASTY) == 5  # row, heading, statement, table of the section, date
+    assert checker.text.count(NASTY) == 4  # row, heading, statement, date
+    assert "<td><strong>x</strong> &lt; N·m</td>" in shown
+    assert '<a href="#beyond-it">' in shown and '<h2 id="beyond-it">' in shown
     assert all(a.startswith(("#", "data:image/png;base64,")) for a in checker.addresses)
     assert not re.search(r"url\(|@import|<script|<link", shown)
     assert shown.count(base64.b64encode(PIXEL).decode()) == 2
@@ -276,7 +283,8 @@ def test_the_markdown_escapes_and_has_a_row_for_each_claim(page):
     assert len(re.findall(r"(?<!\\)\|", rows[0])) == 6  # five cells
     assert r"a &lt;b&gt; \| \*c\* \`d\` &amp; \[e\](http://f)" in rows[0]
     assert text.count("](figures/dot.png)") == 2
-    assert "One *word*, `code`, x < y.\n" in text  # Markdown already
+    assert "One *word*, `code`, x ≤ y.\n" in text  # Markdown already
+    assert "| \\|h\\| |\n|---|\n| **x** &lt; N·m |" in text
 
 
 def test_section_text_in_html():

@@ -241,8 +241,8 @@ CLAIMS = (
             "in the linear zone by {linear:.0%}. The appendix needs V_AA(xMax) = E_K(xMax) and "
             "V_AA(0) = 0 at once, and takes E_AA(0) to be the negative of E_AA(xMax). F_AA is odd "
             "about xMax/2, its integral even: both are equal, and a convergence in the linear zone "
-            "gives back nothing of what divergence has stored. V falls on every path run here: the "
-            "controller alone dissipates at its switches, more than the appendix says.",
+            "gives back nothing of what divergence has stored. A V that falls does stability no "
+            "harm: the controller dissipates at the end of each convergence.",
             "does not hold": "V changes by up to {inside:.0e} of itself within the branches, "
             "{peak:.0e} at the peak and {most:.0%} at the end of the convergence.",
         },

@@ -73,7 +73,7 @@ def _observed(motion: Sample) -> Impact:
     return Impact(
         spike=float(ratio[(since >= 0.0) & (since <= SPIKE)].max()),
         turns=turns(ratio[(since >= 0.0) & (since <= 3.0)], SWING),
-        highest=float(ratio[since >= SETTLED].max() - 1.0),
+        highest=float(ratio[since >= SETTLED].max(initial=-np.inf) - 1.0),
         halfway=float(ratio[half].mean() - 1.0),
         last=float(ratio[t > t[-1] - 0.5].mean() - 1.0),
         error=float(abs(ratio[since >= 0.0] - 1.0).max()),

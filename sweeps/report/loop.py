@@ -176,8 +176,8 @@ def response(loop: Loop, t_end: float) -> tuple[Flags, Floats]:
     ticks = np.round(t_end / loop.period).astype(int)
     with jax.enable_x64(True):
         ends = (looks, looks * ticks)
-        turns, nmse = _followed(loop.start, loop.tick, between, loop.torque, loop.Td, *ends)
-        return np.asarray(turns), np.asarray(nmse)
+        turns, square = _followed(loop.start, loop.tick, between, loop.torque, loop.Td, *ends)
+    return np.asarray(turns), np.asarray(square) / (ends[1] - ends[1] // 2)
 
 
 @jax.jit
@@ -203,4 +203,4 @@ def _followed(
 
     begin = (start, jnp.zeros(Td.shape, bool), jnp.zeros_like(Td))
     _, turns, square = jax.lax.fori_loop(0, total.max(), body, begin)
-    return turns, square / (total - total // 2)
+    return turns, square

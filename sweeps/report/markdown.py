@@ -1,12 +1,13 @@
 """A report as Markdown."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from sweeps.report.page import (
     INTRODUCTION,
     Page,
     Table,
+    anchor,
     claims_table,
     conditions_table,
     scenarios_table,
@@ -21,6 +22,9 @@ def markdown(page: Page, folder: str) -> str:
     lines += [*_table(claims_table(page), links=True), ""]
     for judgement in page.judgements:
         lines += _claim(judgement, page, folder)
+    lines += ["## Beyond the claims", ""]
+    lines += [f"- [{escaped(s.title)}](#{anchor(s.title)})" for s in page.sections]
+    lines += [""]
     for section in page.sections:
         lines += _section(section, page, folder)
     lines += ["## Provenance", ""]
@@ -42,9 +46,10 @@ def _claim(judgement: Judgement, page: Page, folder: str) -> Iterator[str]:
 
 
 def _section(section: Section, page: Page, folder: str) -> Iterator[str]:
-    # the text is Markdown already
-    yield from (f"## {escaped(section.title)}", "", section.text.strip(), "")
-    yield from (*_table(Table(section.header, section.rows)), "")
+    # text and cells are Markdown already
+    yield from (f'<a id="{anchor(section.title)}"></a>', "", f"## {escaped(section.title)}", "")
+    yield from (typeset(section.text.strip()), "")
+    yield from (*_table(Table(section.header, section.rows), shown=_cell), "")
     yield from (f"Command: `{section.command}`", "")
     yield from _picture(section.figure, section.title, page, folder)
 
@@ -54,14 +59,22 @@ def _picture(stem: str, title: str, page: Page, folder: str) -> Iterator[str]:
         yield from (f"![{escaped(title)}]({folder}/{stem}.png)", "")
 
 
-def _table(table: Table, links: bool = False) -> Iterator[str]:
+def _table(
+    table: Table, links: bool = False, shown: Callable[[str], str] | None = None
+) -> Iterator[str]:
+    shown = shown or escaped
     if not table.rows:
         return
-    yield "| " + " | ".join(map(escaped, table.header)) + " |"
+    yield "| " + " | ".join(map(shown, table.header)) + " |"
     yield "|---" * len(table.header) + "|"
     for first, *rest in table.rows:
-        head = f"[{escaped(first)}](#{first})" if links else escaped(first)
-        yield "| " + " | ".join([head, *map(escaped, rest)]) + " |"
+        head = f"[{escaped(first)}](#{first})" if links else shown(first)
+        yield "| " + " | ".join([head, *map(shown, rest)]) + " |"
+
+
+def _cell(text: str) -> str:
+    """Markdown that a table can hold."""
+    return " ".join(typeset(text).split()).replace("|", r"\|").replace("<", "&lt;")
 
 
 def escaped(text: str) -> str:

@@ -1,5 +1,6 @@
 """What stands on a report's page, before it is Markdown or HTML: records and tables of text."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -18,7 +19,7 @@ INTRODUCTION = (
     "period of 10 ms, the step that the paper names; it gives no control period, and the claims "
     "are also tried at 1, 2 and 5 ms."
 )
-SIGNS = {"<=": "≤", ">=": "≥", "N*m": "N·m", "sqrt": "√"}
+SIGNS = {"N*m*s": "N·m·s", "<=": "≤", ">=": "≥", "N*m": "N·m", "sqrt": "√"}
 
 
 @dataclass(frozen=True)
@@ -114,6 +115,11 @@ def scenarios_table(findings: Findings) -> tuple[str, Table]:
 
 def _titled(quantity: str, bound: str) -> str:
     return f"{quantity} ({bound})"
+
+
+def anchor(title: str) -> str:
+    """What a part of the page is linked by."""
+    return "-".join(re.findall(r"[a-z0-9]+", title.lower()))
 
 
 def typeset(text: str) -> str:

@@ -108,11 +108,12 @@ CLAIMS = (
         "Superimposed controllers stay stable",
         "Multiple controllers can be superimposed without interfering with the system stability.",
         "Sec. I; Sec. V",
-        "256 random draws of two or three controllers on one inertia, released at rest, with one "
+        "256 random draws of two or three controllers, searching nothing, on one inertia released "
+        "at rest, with one "
         "reference or references up to 0.1 rad apart, free or against a hard stop; "
         "Fmax/(K0 xb) from 0.9 to 20. 20 s at 1 ms.",
         "fic-sweep report --only C14",
-        "",
+        "energy",
         c14,
         {
             "holds": "No draw gains energy and all come to rest.",

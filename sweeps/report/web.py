@@ -3,13 +3,14 @@
 import base64
 import html
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from sweeps.report.page import (
     INTRODUCTION,
     Page,
     Table,
+    anchor,
     claims_table,
     conditions_table,
     scenarios_table,
@@ -48,6 +49,11 @@ def page_html(page: Page, pictures: Path) -> str:
     body = [f"<h1>{TITLE}</h1>", f"<p>{escaped(INTRODUCTION)}</p>", *_overview(page)]
     for judgement in page.judgements:
         body += _claim(judgement, page, pictures)
+    body.append("<h2>Beyond the claims</h2><ul>")
+    for section in page.sections:
+        link = f'<a href="#{anchor(section.title)}">{escaped(section.title)}</a>'
+        body.append(f"<li>{link}</li>")
+    body.append("</ul>")
     for section in page.sections:
         body += _section(section, page, pictures)
     body += ["<h2>Provenance</h2>", _table(Table(("", ""), tuple(page.provenance.items())))]
@@ -95,9 +101,9 @@ def _claim(judgement: Judgement, page: Page, pictures: Path) -> Iterator[str]:
 
 
 def _section(section: Section, page: Page, pictures: Path) -> Iterator[str]:
-    yield f"<h2>{escaped(section.title)}</h2>"
+    yield f'<h2 id="{anchor(section.title)}">{escaped(section.title)}</h2>'
     yield from paragraphs(section.text)
-    yield _table(Table(section.header, section.rows))
+    yield _table(Table(section.header, section.rows), inline)
     yield f"<p>Command: <code>{escaped(section.command)}</code></p>"
     yield from _picture(section.figure, section.title, page, pictures)
 
@@ -109,25 +115,30 @@ def _picture(stem: str, title: str, page: Page, pictures: Path) -> Iterator[str]
 
 
 def paragraphs(text: str) -> Iterator[str]:
-    """A section's text: paragraphs, lines set apart by four spaces, `code`, *stress*, **more**."""
+    """A section's Markdown: paragraphs of `inline`, and lines set apart by four spaces."""
     for block in re.split(r"\n\s*\n", text.strip("\n")):
         lines = block.splitlines()
         if all(line.startswith("    ") for line in lines):
             yield "<pre>" + escaped("\n".join(line[4:] for line in lines)) + "</pre>"
             continue
-        shown = re.sub(r"`([^`]+)`", r"<code>\1</code>", escaped(" ".join(block.split())))
-        shown = re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", shown)
-        yield "<p>" + re.sub(r"\*([^*\s][^*]*)\*", r"<em>\1</em>", shown) + "</p>"
+        yield f"<p>{inline(' '.join(block.split()))}</p>"
 
 
-def _table(table: Table) -> str:
-    rows = "".join(f"<tr>{_cells('td', row)}</tr>" for row in table.rows)
-    return f'<div class="wide"><table><tr>{_cells("th", table.header)}</tr>{rows}</table></div>'
+def inline(text: str) -> str:
+    """A line of Markdown: `code`, *stress*, **more**."""
+    shown = re.sub(r"`([^`]+)`", r"<code>\1</code>", escaped(text))
+    shown = re.sub(r"\*\*([^*]+)\*\*", r"<strong>\1</strong>", shown)
+    return re.sub(r"\*([^*\s][^*]*)\*", r"<em>\1</em>", shown)
 
 
-def _cells(kind: str, texts: object) -> str:
-    assert isinstance(texts, list | tuple)
-    return "".join(f"<{kind}>{escaped(text)}</{kind}>" for text in texts)
+def _table(table: Table, shown: Callable[[str], str] | None = None) -> str:
+    rows = "".join(f"<tr>{_cells('td', row, shown)}</tr>" for row in table.rows)
+    head = _cells("th", table.header, shown)
+    return f'<div class="wide"><table><tr>{head}</tr>{rows}</table></div>'
+
+
+def _cells(kind: str, texts: Sequence[str], shown: Callable[[str], str] | None = None) -> str:
+    return "".join(f"<{kind}>{(shown or escaped)(text)}</{kind}>" for text in texts)
 
 
 def escaped(text: str) -> str:
