@@ -61,7 +61,7 @@ def _wrong(store: Store, row: Row) -> Iterator[str]:
 def recover(path: Path) -> None:
     """Finish or undo what a kill left of an extension: one store, whole, under its name."""
     before = away(path)
-    if not before.is_dir() or before.is_symlink():
+    if not os.path.isdir(before) or before.is_symlink():
         return
     if os.path.isfile(path / "zarr.json"):
         shutil.rmtree(before)

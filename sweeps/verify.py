@@ -1,5 +1,6 @@
 """Whether a store is as it was written, file by file, and making it so again."""
 
+import os
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -120,7 +121,7 @@ def recompute(store: Store, blocks: list[int], tell: Tell) -> list[int]:
 def _ledger_of(path: Path) -> Ledger:
     """The ledger of what is a store, be it damaged."""
     ledger = Ledger(path / ledgers.NAME)
-    if not ledger.path.is_file() or ledger.path.is_symlink():
+    if not os.path.isfile(ledger.path) or ledger.path.is_symlink():  # False for a name too long
         store = open_store(path)
         if store.ledger is None:
             raise SweepError(f"{path}: has format 1, whose blocks have no checksums in a ledger")
