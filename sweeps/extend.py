@@ -39,6 +39,7 @@ def extend(store: Store, plan: Sweep, source: str) -> Store:
     attributes = {key: attrs[key] for key in KEPT if key in attrs} | {"extended": now()}
     # in this order the new store is owned until it is sealed
     with building(partial), changing(store):
+        store.refuse_missing()
         wrong = sum(1 for row in store.rows() for _ in _wrong(store, row))
         if wrong:  # a whole file in the place of another would be carried over
             raise store.damaged(f"{wrong:,} files of finished blocks are not as written")
