@@ -1,5 +1,6 @@
 # make sweep   run the paper sweeps and the small atlas; stores, pictures and report under results/
 # make test    lint, types and all tests
+# make torture the durability tests at length (FIC_SWEEP_TORTURE=1), an hour on two cores, with counts
 # make picture remake the README's picture
 # make figures the paper's figures, and those of a report that has run, under results/figures/
 # make clean   remove the results, as after a change of the program; make distclean the environment too
@@ -8,7 +9,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SWEEPS := paper-welded paper-contact period-map atlas-small
 
-.PHONY: sweep test lint picture figures clean distclean
+.PHONY: sweep test lint torture picture figures clean distclean
 
 sweep: $(VENV)/installed
 	@mkdir -p results
@@ -23,6 +24,9 @@ sweep: $(VENV)/installed
 
 test: lint
 	$(BIN)/pytest -n 2
+
+torture: $(VENV)/installed
+	FIC_SWEEP_TORTURE=1 $(BIN)/pytest -s tests/test_durability.py
 
 lint: $(VENV)/installed
 	$(BIN)/ruff check .

@@ -535,7 +535,7 @@ class Victim:
     def __init__(self, context, path, program):
         self.said, self.began = [], time.monotonic()
         self.pipe, theirs = context.Pipe(duplex=False)
-        self.process = context.Process(target=work, args=(path, program, theirs))
+        self.process = context.Process(target=work, args=(path, program, theirs), daemon=True)
         self.process.start()
         theirs.close()
 
@@ -667,7 +667,7 @@ def test_a_second_process_is_refused_until_the_first_is_gone(
         owned = path.with_name(place)
         owned.mkdir(exist_ok=True)
         pipe, theirs = forks.Pipe(duplex=False)
-        first = forks.Process(target=own, args=(owned, theirs))
+        first = forks.Process(target=own, args=(owned, theirs), daemon=True)
         first.start()
         assert pipe.recv() == "owned"
         told = f"is being changed by process {first.pid} on {socket.gethostname()}"
