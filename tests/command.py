@@ -48,7 +48,7 @@ def typed(*arguments):
     with (
         patch.object(sys, "argv", ["fic-sweep", *map(str, arguments)]),
         patch.object(cli, "_stop_between_blocks", list),
-        patch.object(runner, "configure", lambda precision: None),
+        patch.object(runner, "configure", lambda *_: None),
         redirect_stdout(out),
         redirect_stderr(err),
     ):

@@ -41,7 +41,7 @@ from sweeps.spec import SweepError
 from tests.command import typed
 
 TORTURE = os.environ.get("FIC_TORTURE") == "1"
-EXAMPLES, STEPS = (500, 200) if TORTURE else (16, 25)
+EXAMPLES, STEPS = (500, 200) if TORTURE else (12, 25)
 MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None  # the disk is tested elsewhere
 FACTS = provenance(32)  # asks git, once
 COUNTED = Counter()  # of this session
@@ -140,7 +140,7 @@ class World:
         bin_ = SimpleNamespace(**vars(shutil) | {"rmtree": self.unless_dead(shutil.rmtree)})
         return [
             patch.object(runner, "_compute", self.compute),
-            patch.object(runner, "provenance", lambda precision: FACTS),
+            patch.object(runner, "provenance", lambda *_: FACTS),
             patch.object(durable, "os", disk),
             patch.object(owner, "os", lock),
             patch.object(layout, "shutil", bin_),
