@@ -21,6 +21,7 @@ from sweeps.provenance import provenance
 from sweeps.spec import SweepError
 from sweeps.store import dataset, open_store
 from sweeps.validation import parse
+from tests import faults
 from tests.command import call, typed
 
 PLAN = """
@@ -34,7 +35,7 @@ contact = ["welded", "hard_stop"]
 Td = [1.0, 5.0, 20.0]
 """
 LARGER = PLAN.replace("5.0, 20.0", "5.0, 20.0, 30.0")
-TORTURE = os.environ.get("FIC_TORTURE") == "1"
+TORTURE = bool(os.environ.get(faults.TORTURE))
 FACTS = provenance(32)  # asks git, once
 
 
