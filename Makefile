@@ -1,6 +1,7 @@
 # make sweep   run the paper sweeps and the small atlas; stores, pictures and report under results/
 # make test    lint, types and all tests
 # make torture the durability tests at length (FIC_SWEEP_TORTURE=1), an hour on two cores, with counts
+# make coverage how much of the store, the ledger and the planner the tests run
 # make picture remake the README's picture
 # make figures the paper's figures, and those of a report that has run, under results/figures/
 # make clean   remove the results, as after a change of the program; make distclean the environment too
@@ -9,7 +10,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 SWEEPS := paper-welded paper-contact period-map atlas-small
 
-.PHONY: sweep test lint torture picture figures clean distclean
+# every branch of what a sweep's numbers hang on; of the rest all but what only a fault reaches
+WHOLE := durable ledger owner commit store grid
+NEARLY := layout runner verify extend design
+STORE_TESTS := $(patsubst %,tests/test_%.py,store validation golden untrusted state_machine branches)
+modules = $(subst $() ,$(comma),$(patsubst %,sweeps/%.py,$(1)))
+comma := ,
+
+.PHONY: sweep test lint torture coverage picture figures clean distclean
 
 sweep: $(VENV)/installed
 	@mkdir -p results
@@ -32,6 +40,11 @@ lint: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+coverage: $(VENV)/installed
+	$(BIN)/pytest --cov --cov-report= $(STORE_TESTS)
+	$(BIN)/coverage report --fail-under=100 --include=$(call modules,$(WHOLE))
+	$(BIN)/coverage report --fail-under=98 --include=$(call modules,$(NEARLY))
 
 picture:
 	@[ -e results/atlas-small.zarr ] || $(MAKE) sweep

@@ -1,6 +1,6 @@
 """Any text as a sweep file: a plan, or clear lines that name it; never another error, never slow.
 
-`FIC_TORTURE=1 pytest tests/test_fuzz.py -s` takes 10,000 files and more instead of some hundreds.
+`FIC_SWEEP_TORTURE=1 pytest -s tests/test_fuzz.py` takes 12,000 files instead of some hundreds.
 """
 
 import json
@@ -22,8 +22,9 @@ from sweeps.messages import plan_lines
 from sweeps.runner import warnings_of
 from sweeps.spec import COUPLED, MAX_CELLS, STORED, SweepError
 from sweeps.validation import MAX_FILE, MAX_TOLD, load, out_of_bounds, parse, validate
+from tests import faults
 
-TORTURE = os.environ.get("FIC_TORTURE") == "1"
+TORTURE = bool(os.environ.get(faults.TORTURE))
 FILES = 12_000 if TORTURE else 400
 RECORDS = 5_000 if TORTURE else 300
 SECONDS = 2.0  # of CPU for a file; the slowest of those made here takes a tenth of it

@@ -21,6 +21,7 @@ from sweeps.provenance import provenance
 from sweeps.spec import SweepError
 from sweeps.store import dataset, open_store
 from sweeps.validation import parse
+from tests import faults
 from tests.command import call, typed
 
 PLAN = """
@@ -34,7 +35,7 @@ contact = ["welded", "hard_stop"]
 Td = [1.0, 5.0, 20.0]
 """
 LARGER = PLAN.replace("5.0, 20.0", "5.0, 20.0, 30.0")
-TORTURE = os.environ.get("FIC_TORTURE") == "1"
+TORTURE = bool(os.environ.get(faults.TORTURE))
 FACTS = provenance(32)  # asks git, once
 
 
@@ -50,7 +51,7 @@ def honest(tmp_path_factory):
 @pytest.fixture
 def theirs(honest, tmp_path, monkeypatch):
     """A copy to be changed, and files outside that no command may touch."""
-    monkeypatch.setattr(runner, "provenance", lambda precision: FACTS)
+    monkeypatch.setattr(runner, "provenance", lambda *_: FACTS)
     shutil.copytree(honest, tmp_path / "in" / "theirs.zarr")
     (tmp_path / "victim").mkdir()
     for name in ("file", "c.0.0", "c.9.partial", "zarr.json", "ledger.sqlite"):
@@ -346,7 +347,7 @@ TOUCHED = {  # a store of which something can be told, or mended
     ),
     "other table": rows("CREATE TABLE more (x)"),
     "no tables": schema("CREATE TABLE x (y)"),
-    "large value": rows("UPDATE blocks SET body = zeroblob(100000000)"),
+    "large value": rows("UPDATE blocks SET body = zeroblob(9000000)"),
     "block text": rows("INSERT INTO fixed VALUES (1, 2, 3, 4)"),
     "block far": row(block=10**15),
     "block negative": row(block=-1),
@@ -440,6 +441,8 @@ def check(path, command, codes):
 def test_what_is_none_of_ours_is_refused_by_every_command(theirs, change):
     DAMAGED[change](theirs)
     for command, codes in COMMANDS.items():
+        if command == "verify" and not TORTURE:
+            continue  # what --repair does first
         # our metadata may be in the ledger still
         check(theirs, command, codes if command in ("verify", "repair") else (2,))
 
@@ -495,7 +498,7 @@ def test_a_store_is_not_begun_where_one_waits_for_its_extension(theirs):
     assert open_store(theirs).rows()
 
 
-@pytest.mark.parametrize("change", ["ledger FIFO", "chunk FIFO", "status FIFO"])
+@pytest.mark.parametrize("change", ["status FIFO", "journal FIFO"])
 def test_the_command_itself_tells_one_line(theirs, change):
     TOUCHED[change](theirs)
     before = outside(theirs)

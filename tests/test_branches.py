@@ -1,0 +1,128 @@
+"""What the store, the ledger and the lock do in the cases that no other test comes by."""
+
+import json
+import os
+import shutil
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sweeps import commit, durable, extend, ledger, owner, store
+from sweeps.spec import SweepError
+from tests.test_golden import GOLDEN
+
+
+@pytest.fixture
+def golden(tmp_path):
+    return Path(shutil.copytree(GOLDEN / "format-2.zarr", tmp_path / "golden.zarr"))
+
+
+def damage(path):
+    path.write_bytes(path.read_bytes()[:-1] + b"?")
+
+
+def test_files_are_as_they_were_where_one_can_not_be_written(tmp_path):
+    (tmp_path / "a").write_bytes(b"before")
+    with pytest.raises(FileNotFoundError):
+        durable.write({tmp_path / "a": b"after", tmp_path / "none" / "b": b"after"})
+    assert [(p.name, p.read_bytes()) for p in tmp_path.iterdir()] == [("a", b"before")]
+
+
+def test_a_second_owner_is_told_who_the_first_is(tmp_path):
+    with owner.owning(tmp_path), pytest.raises(SweepError) as refused:
+        owner.owning(tmp_path).__enter__()
+    assert f"is being changed by process {os.getpid()} on " in str(refused.value)
+
+
+def test_a_block_is_kept_only_as_it_was_committed(golden):
+    opened = store.open_store(golden)
+    row = next(row for row in opened.rows() if row.ok)
+    known = commit.kept(opened, row)
+    assert known is not None
+    assert np.all(known["status"] == store.OK)
+    damage(opened.file("nmse", row.block))
+    assert commit.kept(opened, row) is None
+
+
+def test_a_folder_that_became_a_link_is_not_written_to(golden):
+    opened = store.open_store(golden)
+    (golden / "nmse").rename(golden.parent / "elsewhere")
+    (golden / "nmse").symlink_to(golden.parent / "elsewhere")
+    with pytest.raises(SweepError, match="its nmse is a link"), commit.changing(opened):
+        pass
+
+
+def test_a_row_that_is_no_row_is_damage(golden):
+    """Its checksum is right: only what it says is not."""
+    place = golden / "ledger.sqlite"
+    with closing(sqlite3.connect(place)) as database, database:
+        values = ("Td/c.5", "{", None, ledger._digest("Td/c.5", "{"))
+        database.execute("INSERT INTO fixed VALUES (?, ?, ?, ?)", values)
+    with pytest.raises(ledger.LedgerError, match=r"the row of Td/c\.5 is not as it was written"):
+        list(ledger.Ledger(place).fixed())
+
+
+def test_a_database_whose_index_lost_its_rows_is_damage(golden):
+    """Every row still has its checksum."""
+    place = golden / "ledger.sqlite"
+    (golden / ledger.SEAL).unlink()
+    with closing(sqlite3.connect(place)) as database:
+        query = "SELECT rootpage FROM sqlite_schema WHERE type = 'index'"
+        ((page,),) = database.execute(query).fetchall()
+    content = bytearray(place.read_bytes())
+    content[(page - 1) * 4096 : page * 4096] = b"\x0a\0\0\0\0\x10\0\0".ljust(4096, b"\0")
+    place.write_bytes(content)
+    with pytest.raises(ledger.LedgerError, match="index"):
+        ledger.Ledger(place).check()
+
+
+def test_a_variable_that_is_gone_is_told(golden):
+    shutil.rmtree(golden / "nmse")
+    with pytest.raises(SweepError, match="lacks nmse/"):
+        store.open_store(golden).refuse_missing()
+    record = json.loads((golden / "zarr.json").read_text())
+    del record["consolidated_metadata"]["metadata"]["nmse"]
+    (golden / "zarr.json").write_text(json.dumps(record))
+    with pytest.raises(SweepError, match="its variable nmse is not the one of its sweep"):
+        store.open_store(golden)
+
+
+def test_a_block_half_on_the_disk_is_told(golden):
+    """Renamed in any order by a power cut: its status is there, its numbers are not."""
+    opened = store.open_store(golden)
+    shutil.copy(opened.file("status", 0), opened.file("status", 3))
+    with pytest.raises(SweepError, match=r"half written; `fic-sweep resume .* writes them"):
+        store.dataset(golden)
+
+
+def test_format_1_without_estimates_is_counted(tmp_path):
+    path = Path(shutil.copytree(GOLDEN / "format-1.zarr", tmp_path / "golden.zarr"))
+    record = json.loads((path / "zarr.json").read_text())
+    record["attributes"]["error_estimate"] = 0
+    (path / "zarr.json").write_text(json.dumps(record))
+    assert store.Tally.of(store.open_store(path)).cells["ok"] == 6
+    assert store.Tally.of(store.open_store(path)).trusted == 0
+
+
+@pytest.mark.parametrize("new", [True, False])
+def test_an_extension_that_was_cut_short_is_finished_or_undone(golden, new):
+    before = extend.away(golden)
+    if new:
+        shutil.copytree(golden, before)
+    else:
+        golden.rename(before)
+    extend.recover(golden)
+    assert store.open_store(golden).rows()
+    assert not before.exists()
+
+
+def test_what_is_no_store_replaces_none(golden):
+    """Something else under its name: the one that waits must stay."""
+    before = extend.away(golden)
+    golden.rename(before)
+    golden.mkdir()
+    extend.recover(golden)
+    assert store.open_store(before).rows()
