@@ -41,6 +41,9 @@ lint: $(VENV)/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+torture: $(VENV)/installed
+	FIC_SWEEP_TORTURE=1 $(BIN)/pytest -s tests/test_durability.py tests/test_state_machine.py tests/test_fuzz.py
+
 coverage: $(VENV)/installed
 	$(BIN)/pytest --cov --cov-report= $(STORE_TESTS)
 	$(BIN)/coverage report --fail-under=100 --include=$(call modules,$(WHOLE))
