@@ -359,6 +359,7 @@ TOUCHED = {  # a store of which something can be told, or mended
     "row of a type": row(files={"nmse": {"size": "x", "sha256": 3}, "status": 7}),
     "row escaping": row(outcome="set aside", error="\x1b[2J\n" + "x" * 10_000),
     "names a file outside": names("../../victim/file"),
+    "names it rightly": names("../../victim/file", content=b"precious " * 9),
     "names another": names("/etc/passwd"),
     "names a root": names("zarr.json/../../../victim/file"),
     "names a device": names("../../../../../../dev/zero"),
