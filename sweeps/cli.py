@@ -288,7 +288,8 @@ def bench(
     from sweeps.bench.text import as_markdown, as_text
 
     plan = Plan(scenarios, steps, repeats, full, tuple(table.value for table in only or []))
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # nothing temporary stays behind
+    for signum in (signal.SIGINT, signal.SIGTERM):  # nothing temporary stays behind
+        signal.signal(signum, signal.default_int_handler)
     try:
         result = measure(plan, lambda line: print(line, file=sys.stderr, flush=True))
     except (BenchError, KeyboardInterrupt) as error:

@@ -14,6 +14,7 @@ from sweeps.export import tables, write
 from sweeps.grid import Grid
 from sweeps.spec import SweepError
 from sweeps.validation import parse
+from tests.changed import note
 
 TEXT = """
 name = "tiny"
@@ -51,13 +52,6 @@ def whole(tmp_path_factory, plan):
     path = tmp_path_factory.mktemp("store") / "tiny.zarr"
     complete(path, plan)
     return path
-
-
-def note(path, **attributes):
-    """Change what a store says of itself."""
-    record = json.loads((path / "zarr.json").read_text())
-    record["attributes"] |= attributes
-    (path / "zarr.json").write_text(json.dumps(record))
 
 
 def bits(path):

@@ -3,6 +3,7 @@
 import os
 import pickle
 import time
+from dataclasses import replace
 from functools import cache
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -49,10 +50,10 @@ def keep(program: Path) -> None:
     os.environ[VARIABLE] = ""  # what comes out of the cache of programs can't be written again
     runner.configure(32)
     arguments = engine.Model(), 500, False, np.dtype("float32"), tuple(jax.local_devices())
-    compiled, sharding, _ = engine._compiled(*arguments)
-    shape = (len(engine.QUANTITIES), len(jax.local_devices()), engine.BLOCKS, engine.LANES)
-    columns = jax.ShapeDtypeStruct(shape, np.float32, sharding=sharding)
-    whole = compiled.lower(columns, np.float32(0.01), np.int32(1)).compile()
+    made = engine._compiled(*arguments)
+    shape = (len(engine.QUANTITIES), len(jax.local_devices()), made.blocks, engine.LANES)
+    columns = jax.ShapeDtypeStruct(shape, np.float32, sharding=made.sharding)
+    whole = made.run.lower(columns, np.float32(0.01), np.int32(1)).compile()
     program.write_bytes(pickle.dumps(serialize(whole)))
 
 
@@ -62,8 +63,8 @@ def load(program: Path) -> None:
 
     @cache
     def compiled(*arguments):
-        _, sharding, result = make(*arguments)
-        return deserialize_and_load(*pickle.loads(program.read_bytes())), sharding, result
+        run = deserialize_and_load(*pickle.loads(program.read_bytes()))
+        return replace(make(*arguments), run=run)
 
     engine._compiled = compiled
 
