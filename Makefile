@@ -33,9 +33,6 @@ sweep: $(VENV)/installed
 test: lint
 	$(BIN)/pytest -n 2
 
-torture: $(VENV)/installed
-	FIC_SWEEP_TORTURE=1 $(BIN)/pytest -s tests/test_durability.py
-
 lint: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
