@@ -12,6 +12,7 @@ import pytest
 
 from sweeps import commit, durable, extend, ledger, owner, store
 from sweeps.spec import SweepError
+from tests.changed import note
 from tests.test_golden import GOLDEN
 
 
@@ -126,3 +127,15 @@ def test_what_is_no_store_replaces_none(golden):
     golden.mkdir()
     extend.recover(golden)
     assert store.open_store(before).rows()
+
+
+def test_a_store_that_another_process_changed_is_not_written_to(golden):
+    opened = store.open_store(golden)
+    note(golden, block_cells=3)
+    with pytest.raises(SweepError, match="was changed by another process"), commit.changing(opened):
+        pass
+
+
+def test_a_file_under_way_is_no_part_of_what_is_read(golden):
+    (golden / "nmse" / f"c.0.0.0{durable.PARTIAL}").write_bytes(b"half")
+    assert store.dataset(golden)["nmse"].shape == store.open_store(golden).grid.shape
