@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from fic_jax.params import Model, Params, Scalar
-from fic_jax.profile import energy, force, force_beside
+from fic_jax.profile import energy, force, saturating
 
 REST_BAND = 0.01  # rad/s, below which `velocity_band` counts the joint as at rest
 
@@ -18,7 +18,6 @@ class Attractor:
 
     diverging: jax.Array  # bool
     e_M: jax.Array  # rad, signed peak error
-    F_M: jax.Array  # N*m, F_K(e_M)
     energy_slope: jax.Array  # N*m/rad, 4 E_K(e_M)/e_M^2
     effort_slope: jax.Array  # N*m/rad, 2 F_K(e_M)/e_M
 
@@ -56,14 +55,13 @@ def latch(
     if model.peak == "running":
         follow = follow | (jnp.abs(e) > jnp.abs(e_M)) | (e * e_M < 0.0)
     e_M = jnp.where(follow, e, e_M)
-    F_M = force(e_M, p)
     # In the linear zone both slopes are 2 K0, their limit at e_M = 0; a safe divisor keeps 0/0 out
     # of the branch not taken, and out of its gradient.
     linear = jnp.abs(e_M) <= p.x0
     per_e_M = 1.0 / jnp.where(linear, p.x0, e_M)
     energy_slope = jnp.where(linear, 2.0 * p.K0, 4.0 * energy(e_M, p) * per_e_M**2)
-    effort_slope = jnp.where(linear, 2.0 * p.K0, 2.0 * F_M * per_e_M)
-    return Attractor(diverging, e_M, F_M, energy_slope, effort_slope)
+    effort_slope = jnp.where(linear, 2.0 * p.K0, 2.0 * force(e_M, p) * per_e_M)
+    return Attractor(diverging, e_M, energy_slope, effort_slope)
 
 
 def left_behind(attractor: Attractor, e: Scalar) -> jax.Array:
@@ -77,23 +75,21 @@ def torque(
     p: Params,
     model: Model,
     side: Scalar | None = None,
-    F_K: Scalar | None = None,
 ) -> jax.Array:
     """Torque towards the reference, N*m, limited to +-Fmax (Algorithm 1, second half).
 
     Diverging: F_K(e). Converging: slope * (e - e_M/2), with the slope 4 E_K(e_M)/e_M^2
     where |e| <= x0 and 2 F_K(e_M)/e_M beyond (`algorithm1`), or one of them throughout.
-    `side`, an error, chooses between the pieces in place of e; `F_K` is F_K(e), if known.
+    `side`, an error, chooses between the pieces in place of e.
     """
     side = e if side is None else side
-    if model.law == "effort":
-        slope = attractor.effort_slope
-    elif model.law == "energy":
-        slope = attractor.energy_slope
-    else:
-        slope = jnp.where(jnp.abs(side) <= p.x0, attractor.energy_slope, attractor.effort_slope)
-    converging = slope * (e - 0.5 * attractor.e_M)
-    F_K = force_beside(e, side, p) if F_K is None else F_K
-    tau = jnp.where(attractor.diverging, F_K, converging)
+    near = jnp.abs(side) <= p.x0
+    within = attractor.effort_slope if model.law == "effort" else attractor.energy_slope
+    beyond = attractor.energy_slope if model.law == "energy" else attractor.effort_slope
+    # Up to x0 both branches are straight lines; beyond it the diverging one bends.
+    slope = jnp.where(near, jnp.where(attractor.diverging, p.K0, within), beyond)
+    straight = slope * (e - jnp.where(attractor.diverging, 0.0, 0.5 * attractor.e_M))
+    tau = jnp.where(attractor.diverging & ~near, saturating(e, side, p), straight)
     # where, not clip: XLA's minimum and maximum look for NaN first, which costs twice as much
-    return jnp.where(tau > p.Fmax, p.Fmax, jnp.where(tau < -p.Fmax, -p.Fmax, tau))
+    tau = jnp.where(tau < -p.Fmax, -p.Fmax, tau)
+    return jnp.where(tau > p.Fmax, p.Fmax, tau)

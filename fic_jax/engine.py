@@ -1,13 +1,12 @@
-"""N scenarios: blocks, devices, compilation. The physics knows nothing of any of them.
+"""N scenarios: arrangement, devices, compilation. The physics knows nothing of any of them.
 
-One program is compiled per (model, number of steps, dtype, devices), of one fixed shape, and run
-as often as N asks for. XLA may round differently in programs of different shapes; one shape makes
-a scenario's bits independent of N, of its neighbours and of the chunking.
+One program is compiled per (model, number of steps, dtype, devices). A scenario's bits depend on
+nothing else: not on N, its neighbours, the number of devices or the chunking.
 """
 
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import version
@@ -16,23 +15,25 @@ from typing import Any, Literal, overload
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding
-from jax.sharding import PartitionSpec as P
 
 from fic_jax.accuracy import difference, estimated
+from fic_jax.blocks import in_blocks
 from fic_jax.metrics import Metrics, blank, compiled_evaluate
 from fic_jax.params import QUANTITIES, Model, Params, ParamsError, check
 
-# Scenarios that advance together. Their state has to stay in the L1 cache and fill whole vectors;
-# 64 to 256 were within 10 % of each other, 512 slower.
-LANES = 128
-# Samples in one turn of the time loop: two are 1.2 times faster than one, more only take longer to
-# compile; a located step is long enough by itself.
-UNROLL = {"rk4": 2, "rk4_events": 1}
 # How the scenarios of a call are arranged on a platform; what is not named here is scanned.
-ARRANGEMENT = {"gpu": "kernel"}
-# Blocks that one call holds for each device: some tenths of a second of work at 1,000 steps.
-BLOCKS = {"scan": 128, "kernel": 8192, "interpreted": 4}
+ARRANGEMENT = {"cpu": "native", "gpu": "kernel"}
+# Samples in one turn of the scan's time loop: two are 1.2 times faster than one, more only take
+# longer to compile; a located step is long enough by itself.
+UNROLL = {"rk4": 2, "rk4_events": 1}
+
+# What is told where an arrangement can't be built.
+SLOWER = {
+    "native": "no vector kernel {where}: compiled by XLA instead, expect half of the speed or less; "
+    "`pip install llvmlite` if it is missing",
+    "kernel": "no GPU kernel {where}: several launches for each plant step instead, expect a small "
+    "part of the speed",
+}
 
 # XLA:CPU runs a loop's body as separate kernels, whose dispatch and memory traffic dominate; the
 # threshold makes it compile the whole time loop as one function. The rest helps it to vectorise.
@@ -86,12 +87,10 @@ def tune_for_throughput(devices: int | None = None) -> None:
 
 @dataclass(frozen=True)
 class Program:
-    """What runs one call."""
+    """What computes the results of N scenarios."""
 
-    run: Any  # columns, dt, blocks -> results
-    sharding: NamedSharding  # of the columns
+    fill: Callable[[Sequence[np.ndarray], np.ndarray, Any], None]  # [N] quantities, dt, out
     result: Any  # the types of one scenario's result
-    blocks: int  # that a call holds for each device
 
 
 @overload
@@ -135,14 +134,9 @@ def sweep(
     check(Params(*leaves), dt, n_steps)
     devices = tuple(jax.local_devices())
     program = _compiled(model, n_steps, error_estimate, dtype, devices)
-    capacity = len(devices) * program.blocks * LANES
     out = jax.tree.map(lambda leaf: np.empty(n, leaf.dtype), program.result)
-    for start in range(0, n, capacity):
-        part = slice(start, min(start + capacity, n))
-        columns, blocks = _pack(leaves, part, dtype, len(devices), program.blocks)
-        placed = jax.device_put(columns, program.sharding)
-        metrics = program.run(placed, np.asarray(dt, dtype), blocks)
-        _unpack(metrics, out, part, blocks)
+    columns = [np.broadcast_to(leaf.reshape(-1), n) for leaf in leaves]
+    program.fill(columns, np.asarray(dt, dtype), out)
     return out
 
 
@@ -152,30 +146,6 @@ def _length(leaves: list[np.ndarray]) -> int:
         shapes = {k: leaf.shape for k, leaf in zip(QUANTITIES, leaves, strict=True) if leaf.ndim}
         raise ParamsError("batch", shapes, "scalars and [N] arrays of one length")
     return min(lengths)[0]
-
-
-def _pack(
-    leaves: list[np.ndarray], part: slice, dtype: np.dtype, n_devices: int, n_blocks: int
-) -> tuple[np.ndarray, np.int32]:
-    """Scenarios `part` as [field, device, block, lane], and the blocks each device has to run.
-
-    Devices get equal shares; the lanes left over repeat the last scenario.
-    """
-    n = part.stop - part.start
-    blocks = -(-n // (LANES * n_devices))
-    columns = np.empty((len(leaves), n_devices, n_blocks, LANES), dtype)
-    lanes = np.empty(n_devices * blocks * LANES, dtype)
-    for column, leaf in zip(columns, leaves, strict=True):
-        lanes[:n] = leaf[part] if leaf.ndim and leaf.size > 1 else leaf
-        lanes[n:] = lanes[n - 1]
-        column[:, :blocks] = lanes.reshape(n_devices, blocks, LANES)
-        column[:, blocks:] = lanes[0]
-    return columns, np.int32(blocks)
-
-
-def _unpack(computed: Any, out: Any, part: slice, blocks: np.int32) -> None:
-    for source, values in zip(jax.tree.leaves(computed), jax.tree.leaves(out), strict=True):
-        values[part] = np.asarray(source)[:, :blocks].reshape(-1)[: part.stop - part.start]
 
 
 def _result(model: Model, error_estimate: bool, dtype: np.dtype) -> Any:
@@ -197,74 +167,39 @@ def _compiled(
     dtype: np.dtype,
     devices: tuple[jax.Device, ...],
 ) -> Program:
-    """The program for one call on these devices, in the arrangement that suits them.
+    """The program for these devices, in the arrangement that suits them.
 
-    Where a GPU's kernel can't be built, a warning says so and the scan is used there as well.
+    Where that can't be built, a warning says so and scenarios are scanned in blocks.
     """
-    arrangement = ARRANGEMENT.get(devices[0].platform, "scan")
-    if arrangement == "kernel":
-        try:
-            return _built(arrangement, model, n_steps, error_estimate, dtype, devices)
-        except Exception as error:  # whatever Pallas, Triton or the driver make of it
-            told = f"{type(error).__name__}: {error}".splitlines()[0][:200]
-            warnings.warn(
-                f"no GPU kernel with jax {jax.__version__} on {devices[0].device_kind} ({told}): "
-                "several launches for each plant step instead, expect a small part of the speed",
-                RuntimeWarning,
-                stacklevel=3,
-            )
-            arrangement = "scan"
-    return _built(arrangement, model, n_steps, error_estimate, dtype, devices)
-
-
-def _built(
-    arrangement: str,
-    model: Model,
-    n_steps: int,
-    error_estimate: bool,
-    dtype: np.dtype,
-    devices: tuple[jax.Device, ...],
-) -> Program:
-    """A program that takes [field, device, block, lane] to results of [device, block, lane].
-
-    The number of blocks is a value, not a shape: a ragged end runs the same code on fewer blocks.
-    """
-    unroll = UNROLL[model.integrator] if arrangement == "scan" else 1
-    scenario = _scenario(model, n_steps, error_estimate, unroll)
     result = _result(model, error_estimate, dtype)
-    if arrangement == "scan":
-        of_device = _in_blocks(jax.vmap(scenario, in_axes=(1, None)), result)
-    else:
-        from fic_jax.kernel import in_one_kernel  # Pallas takes a while to import
 
-        of_device = in_one_kernel(
-            scenario, result, lanes=LANES, interpret=arrangement == "interpreted"
-        )
+    def built(arrangement: str) -> Program:
+        unroll = UNROLL[model.integrator] if arrangement == "scan" else 1
+        scenario = _scenario(model, n_steps, error_estimate, unroll)
+        if arrangement == "native":
+            from fic_jax.native import in_vectors  # llvmlite may not be there
 
-    def on_device(columns: jax.Array, dt: jax.Array, blocks: jax.Array) -> Any:
-        return jax.tree.map(lambda o: o[None], of_device(columns[:, 0], dt, blocks))
+            fill = in_vectors(scenario, len(QUANTITIES), result, dtype, threads(devices))
+            return Program(fill, result)
+        fill = in_blocks(arrangement, scenario, len(QUANTITIES), result, dtype, devices)
+        return Program(fill, result)
 
-    mesh = Mesh(np.array(devices), ("device",))
-    spec = P(None, "device")
-    shares = jax.jit(
-        jax.shard_map(
-            on_device,
-            mesh=mesh,
-            in_specs=(spec, P(), P()),
-            out_specs=P("device"),
-            check_vma=False,
-        )
-    )
-    sharding, blocks = NamedSharding(mesh, spec), BLOCKS[arrangement]
-    if arrangement != "kernel":
-        return Program(shares, sharding, result, blocks)
-    shape = (len(QUANTITIES), len(devices), blocks, LANES)
-    columns = jax.ShapeDtypeStruct(shape, dtype, sharding=sharding)
-    with warnings.catch_warnings():
-        # jax 0.11 announces Triton's end; Mosaic, its successor, asks for a Hopper GPU
-        warnings.filterwarnings("ignore", "The Pallas Triton backend", DeprecationWarning)
-        run = shares.lower(columns, np.zeros((), dtype), np.int32(0)).compile()
-    return Program(run, sharding, result, blocks)
+    arrangement = ARRANGEMENT.get(devices[0].platform, "scan")
+    if arrangement not in SLOWER:
+        return built(arrangement)
+    try:
+        return built(arrangement)
+    except Exception as error:  # whatever LLVM, Pallas, Triton or the driver make of it
+        told = f"{type(error).__name__}: {error}".splitlines()[0][:200]
+        where = f"with jax {jax.__version__} on {devices[0].device_kind} ({told})"
+        warnings.warn(SLOWER[arrangement].format(where=where), RuntimeWarning, stacklevel=3)
+        return built("scan")
+
+
+def threads(devices: Sequence[jax.Device]) -> int:
+    """Cores that a CPU's scenarios share: all, or as many as CPU devices were asked for."""
+    asked = jax.config.jax_num_cpu_devices  # type: ignore[attr-defined]
+    return len(devices) if asked > 0 else cores()
 
 
 def _scenario(model: Model, n_steps: int, error_estimate: bool, unroll: int) -> Any:
@@ -276,17 +211,3 @@ def _scenario(model: Model, n_steps: int, error_estimate: bool, unroll: int) -> 
         return one(params, model, dt, n_steps, unroll=unroll)
 
     return scenario
-
-
-def _in_blocks(block: Any, result: Any) -> Any:
-    """Block after block, each with its whole time loop: what a CPU's first cache can hold."""
-
-    def of_device(columns: jax.Array, dt: jax.Array, blocks: jax.Array) -> Any:
-        def body(i: jax.Array, out: Any) -> Any:
-            return jax.tree.map(lambda o, m: o.at[i].set(m), out, block(columns[:, i], dt))
-
-        shape = columns.shape[1:]
-        out = jax.tree.map(lambda leaf: jnp.zeros(shape, leaf.dtype), result)
-        return jax.lax.fori_loop(0, blocks, body, out)
-
-    return of_device

@@ -24,7 +24,7 @@ def explore(
     """
     ticks = countdown <= 0
     # (Td - F)/Td * Td/K0: Td cancels, and with it the division by a vanishing Td.
-    searched = x_h + p.sigma * (p.Td - measured) / p.K0
+    searched = x_h + p.sigma / p.K0 * (p.Td - measured)
     target = jnp.where(jnp.abs(x) <= jnp.abs(p.xd), expected_reference(p), searched)
     x_h = jnp.where(ticks & (measured != p.Td), target, x_h)
     countdown = jnp.where(ticks, steps_per_period(p.period, dt), countdown) - 1

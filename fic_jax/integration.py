@@ -64,13 +64,12 @@ def stages(
     `side`: the point that chooses the pieces of law and contact, by default each stage's own.
     """
 
-    def slope(x: Scalar, v: Scalar, F_K: Scalar | None = None) -> Motion:
+    def slope(x: Scalar, v: Scalar) -> Motion:
         e_side = None if side is None else x_h - side.x
-        tau = torque(x_h - x, attractor, p, model, e_side, F_K)
+        tau = torque(x_h - x, attractor, p, model, e_side)
         return Motion(v, acceleration(p, tau, x, v, model, side), tau * v)
 
-    # Where the attractor diverges its e_M is the error here: one exponential less.
-    first = slope(start.x, start.v, attractor.F_M)
+    first = slope(start.x, start.v)
     second = slope(start.x + 0.5 * h * first.x, start.v + 0.5 * h * first.v)
     third = slope(start.x + 0.5 * h * second.x, start.v + 0.5 * h * second.v)
     fourth = slope(start.x + h * third.x, start.v + h * third.v)
@@ -114,7 +113,7 @@ def advance_located(
         entered = enter(p, motion, x_h, e_M, nowhere, model, dt)
         attractor, side = _where(left > 0.0, entered, (attractor, side))
     slopes = stages(p, motion, x_h, attractor, model, left, side)
-    return end_of(motion, slopes, left), attractor
+    return _where(left > 0.0, end_of(motion, slopes, left), motion), attractor
 
 
 def enter(
@@ -127,7 +126,7 @@ def enter(
     """
     e = x_h - at.x
     attractor = latch(e, departs(e, at.v, model), e_M, p, model, grown)
-    tau = torque(e, attractor, p, model, F_K=attractor.F_M)
+    tau = torque(e, attractor, p, model)
     soon = AHEAD * dt
     v = at.v + soon * acceleration(p, tau, at.x, at.v, model)
     way = 0.5 * soon * (at.v + v)

@@ -23,17 +23,15 @@ def force(e: Scalar, p: Params) -> jax.Array:
     with dF = Fmax - K0 x0 and b = (xb - x0)/S (eq. 1). It is not limited to Fmax: where
     K0 x0 > Fmax the profile overshoots between x0 and xb, and the controller clips its torque.
     """
-    return force_beside(e, e, p)
+    return jnp.where(jnp.abs(e) <= p.x0, p.K0 * e, saturating(e, e, p))
 
 
-def force_beside(e: Scalar, side: Scalar, p: Params) -> jax.Array:
-    """`force` by the piece on which the error `side` lies, whichever e lies on."""
+def saturating(e: Scalar, side: Scalar, p: Params) -> jax.Array:
+    """`force` beyond x0, on the piece on which the error `side` lies, whichever e lies on."""
     dF = p.Fmax - p.K0 * p.x0
-    beyond = jnp.abs(side)
     # written so that NaN stays NaN; K0 x0 + dF is Fmax
-    magnitude = p.Fmax - jnp.where(beyond >= p.xb, 0.0, dF * _decay(jnp.abs(e), p))
-    # The linear branch is odd by itself; |e| has no gradient at 0 and is only used beyond x0.
-    return jnp.where(beyond <= p.x0, p.K0 * e, jnp.where(e < 0.0, -magnitude, magnitude))
+    magnitude = p.Fmax - jnp.where(jnp.abs(side) >= p.xb, 0.0, dF * _decay(jnp.abs(e), p))
+    return jnp.where(e < 0.0, -magnitude, magnitude)
 
 
 def energy(e: Scalar, p: Params) -> jax.Array:

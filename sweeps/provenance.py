@@ -3,7 +3,7 @@
 import hashlib
 import os
 import subprocess
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import jax
@@ -12,7 +12,17 @@ import fic_jax
 import sweeps
 
 # What must agree before a store is continued. The rest (device, revision) is told, not compared.
-IDENTITY = ("program", "jax", "jaxlib", "numpy", "scipy", "platform", "dtype", "xla_flags")
+IDENTITY = (
+    "program",
+    "jax",
+    "jaxlib",
+    "llvmlite",
+    "numpy",
+    "scipy",
+    "platform",
+    "dtype",
+    "xla_flags",
+)
 
 # What a larger store takes over from the one it began as.
 KEPT = (*IDENTITY, "fic_jax", "revision", "device", "start")
@@ -27,6 +37,7 @@ def provenance(precision: int) -> dict[str, str]:
         "revision": revision(),
         "jax": jax.__version__,
         "jaxlib": version("jaxlib"),
+        "llvmlite": llvmlite(),
         "numpy": version("numpy"),
         "scipy": version("scipy"),
         "platform": device.platform,
@@ -34,6 +45,14 @@ def provenance(precision: int) -> dict[str, str]:
         "dtype": f"float{precision}",
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
     }
+
+
+def llvmlite() -> str:
+    """The version of what compiles sweeps on a CPU; empty where XLA does."""
+    try:
+        return version("llvmlite")
+    except PackageNotFoundError:
+        return ""
 
 
 def fingerprint() -> str:

@@ -10,9 +10,21 @@ import numpy as np
 import pytest
 
 import fic_jax
-from fic_jax import CHOICES, METRICS, Model, Params, ParamsError, control, evaluate, init, rollout
+from fic_jax import (
+    CHOICES,
+    METRICS,
+    Model,
+    Params,
+    ParamsError,
+    control,
+    evaluate,
+    init,
+    native,
+    rollout,
+)
 from fic_jax import step as public_step
-from fic_jax.engine import BLOCKS, LANES, _compiled
+from fic_jax.blocks import BLOCKS, LANES
+from fic_jax.engine import ARRANGEMENT, _compiled
 from fic_jax.profile import energy, force
 from tests.streamed import streamed
 
@@ -67,9 +79,23 @@ def test_jit_equals_eager(law):
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-13), *states)
 
 
+@pytest.fixture
+def arranged(monkeypatch):
+    """How the engine arranges scenarios here; programs of the test are forgotten afterwards."""
+
+    def arrange(arrangement):
+        monkeypatch.setitem(ARRANGEMENT, "cpu", arrangement)
+        _compiled.cache_clear()
+
+    yield arrange
+    _compiled.cache_clear()
+
+
+@pytest.mark.parametrize("arrangement", ["native", "scan"])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_scenario_alone_equals_its_lane_in_a_full_block(dtype):
+def test_scenario_alone_equals_its_lane_among_many(arranged, arrangement, dtype):
     """Bit for bit, whatever its neighbours, its place, the number of scenarios and of calls."""
+    arranged(arrangement)
     n = 2 * BLOCKS["scan"] * LANES + 77  # more than one call of the program, with a ragged end
     batch = random_batch(n, dtype=dtype)
     whole = fic_jax.sweep(batch, dt=DT, n_steps=60)
@@ -83,14 +109,24 @@ def test_scenario_alone_equals_its_lane_in_a_full_block(dtype):
 
 
 @pytest.mark.parametrize(("lanes", "blocks"), [(32, 4), (64, 128), (256, 16)])
-def test_any_block_size_gives_the_same_bits(lanes, blocks, monkeypatch):
+def test_any_block_size_gives_the_same_bits(arranged, lanes, blocks, monkeypatch):
     batch = random_batch(700)
+    arranged("scan")
     chosen = fic_jax.sweep(batch, dt=DT, n_steps=60)
-    monkeypatch.setattr(fic_jax.engine, "LANES", lanes)
+    monkeypatch.setattr(fic_jax.blocks, "LANES", lanes)
     monkeypatch.setitem(BLOCKS, "scan", blocks)
     _compiled.cache_clear()
     assert_same(fic_jax.sweep(batch, dt=DT, n_steps=60), chosen)
-    _compiled.cache_clear()
+
+
+@pytest.mark.parametrize(("vectors", "part"), [(1, 4096), (2, 8), (4, 100)])
+def test_any_length_of_vectors_gives_the_same_bits(arranged, vectors, part, monkeypatch):
+    batch = random_batch(700)
+    chosen = fic_jax.sweep(batch, dt=DT, n_steps=60)
+    monkeypatch.setattr(native, "VECTORS", vectors)
+    monkeypatch.setattr(native, "PART", part)
+    arranged("native")
+    assert_same(fic_jax.sweep(batch, dt=DT, n_steps=60), chosen)
 
 
 @pytest.mark.parametrize("wrong", [0, -1, 1.5])
@@ -144,18 +180,15 @@ def test_an_untried_jaxlib_runs_without_the_flags():
     np.testing.assert_allclose(ours, plain, rtol=16 * np.finfo(np.float32).eps)
 
 
-def test_one_device_equals_two():
+@pytest.mark.parametrize("arrangement", ["native", "scan"])
+def test_one_device_equals_two(arranged, arrangement, monkeypatch):
     batch = random_batch(1000)
+    arranged(arrangement)
     both = fic_jax.sweep(batch, dt=DT, n_steps=60)
     assert jax.local_device_count() == 2
-    one = tuple(jax.local_devices()[:1])
-    program = _compiled(Model(), 60, False, np.dtype(float), one)
-    leaves = [np.asarray(getattr(batch, name)) for name in fic_jax.QUANTITIES]
-    columns, blocks = fic_jax.engine._pack(
-        leaves, slice(0, 1000), np.dtype(float), 1, program.blocks
-    )
-    one = program.run(jax.device_put(columns, program.sharding), np.float64(DT), blocks)
-    assert_same(jax.tree.map(lambda a: np.asarray(a).reshape(-1)[:1000], one), both)
+    one = jax.local_devices()[:1]
+    monkeypatch.setattr(jax, "local_devices", lambda: one)
+    assert_same(fic_jax.sweep(batch, dt=DT, n_steps=60), both)
 
 
 def test_evaluate_equals_the_metrics_of_a_rollout():

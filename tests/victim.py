@@ -14,6 +14,7 @@ from jax.experimental.serialize_executable import deserialize_and_load, serializ
 from numcodecs.blosc import get_mutex
 
 from fic_jax import engine
+from fic_jax.blocks import LANES
 from sweeps import runner
 from sweeps.cache import VARIABLE
 from sweeps.owner import owning
@@ -49,9 +50,10 @@ def keep(program: Path) -> None:
     """The engine's program, compiled: tracing it takes longer than all the rest of a run."""
     os.environ[VARIABLE] = ""  # what comes out of the cache of programs can't be written again
     runner.configure(32)
+    engine.ARRANGEMENT["cpu"] = "scan"  # a program that can be written
     arguments = engine.Model(), 500, False, np.dtype("float32"), tuple(jax.local_devices())
-    made = engine._compiled(*arguments)
-    shape = (len(engine.QUANTITIES), len(jax.local_devices()), made.blocks, engine.LANES)
+    made = engine._compiled(*arguments).fill
+    shape = (len(engine.QUANTITIES), made.n_devices, made.blocks, LANES)
     columns = jax.ShapeDtypeStruct(shape, np.float32, sharding=made.sharding)
     whole = made.run.lower(columns, np.float32(0.01), np.int32(1)).compile()
     program.write_bytes(pickle.dumps(serialize(whole)))
@@ -59,12 +61,14 @@ def keep(program: Path) -> None:
 
 def load(program: Path) -> None:
     """Give the engine its program, instead of having it traced again."""
+    engine.ARRANGEMENT["cpu"] = "scan"
     make = engine._compiled
 
     @cache
     def compiled(*arguments):
         run = deserialize_and_load(*pickle.loads(program.read_bytes()))
-        return replace(make(*arguments), run=run)
+        made = make(*arguments)
+        return replace(made, fill=replace(made.fill, run=run))
 
     engine._compiled = compiled
 

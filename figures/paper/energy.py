@@ -45,8 +45,7 @@ def released(e_M: float | jax.Array, p: Params, model: Model, limited: bool) -> 
     attractor = latch(e_M, jnp.zeros((), bool), e_M, p, model)
     limits = p if limited else replace(p, Fmax=jnp.inf)
     middle = jnp.minimum(e_M, p.x0)
-    # F_K of an infinite limit is never asked for, and would be inf - inf
-    of = jax.vmap(lambda e, side: torque(e, attractor, limits, model, side, F_K=jnp.zeros_like(e)))
+    of = jax.vmap(lambda e, side: torque(e, attractor, limits, model, side))
     inner = jnp.linspace(0.0, middle, NODES)
     outer = jnp.linspace(middle, e_M, NODES)
     below = jnp.abs(of(inner, jnp.zeros_like(inner)))

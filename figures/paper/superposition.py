@@ -57,8 +57,8 @@ def compute(law: Law, params: Params = studies.PAPER, peaks: tuple[float, ...] =
             limited = jax.vmap(lambda e: torque(e, attractor, p, model))(e)
             if diverging:
                 return Branch(np.asarray(e), np.asarray(limited), np.asarray(limited))
-            free = replace(p, Fmax=jnp.inf)  # F_K is given: it would be inf - inf, and is not used
-            asked = jax.vmap(lambda e: torque(e, attractor, free, model, F_K=jnp.zeros_like(e)))
+            free = replace(p, Fmax=jnp.inf)
+            asked = jax.vmap(lambda e: torque(e, attractor, free, model))
             return Branch(np.asarray(e), np.asarray(limited), np.asarray(asked(e)))
 
         convergence = tuple(branch(peak, False) for peak in peaks)

@@ -89,7 +89,7 @@ def _first_branch(batch: Params) -> tuple[jax.Array, jax.Array, jax.Array]:
     def one(p: Params) -> tuple[jax.Array, jax.Array, jax.Array]:
         e_M = expected_reference(p) - p.x_init
         first = latch(e_M, jnp.asarray(True), e_M, p, LINEAR)
-        return first.F_M / p.Td, first.effort_slope, first.energy_slope
+        return force(e_M, p) / p.Td, first.effort_slope, first.energy_slope
 
     return jax.vmap(one)(batch)
 

@@ -1,0 +1,305 @@
+"""A traced scenario as a graph of scalar operations, ready to become a kernel.
+
+Calls are inlined, equal operations become one, and an operation lies in the outermost loop its
+operands allow.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from itertools import count
+from typing import Any
+
+import jax
+import numpy as np
+
+SAME = ("copy", "copy_p", "stop_gradient")  # primitives that change no number
+CALLS = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call")
+
+
+class Untranslatable(Exception):  # noqa: N818  another arrangement takes over; nobody erred
+    """What of a traced function there is no kernel for."""
+
+
+@dataclass(eq=False)
+class Scope:
+    """Where nodes are computed, if not once for all: in the turns of a loop, or in a branch."""
+
+    outer: "Scope | None"
+    outs: "list[Node]" = field(default_factory=list)
+    captured: "dict[Node, None]" = field(default_factory=dict)  # what it needs from outside
+
+    @property
+    def depth(self) -> int:
+        """Scopes around this one, and itself."""
+        return 1 + depth(self.outer)
+
+
+@dataclass(eq=False)
+class Loop(Scope):
+    """Turns of known number: `outs` of one are `phis` of the next."""
+
+    length: int = 1
+    inits: "list[Node]" = field(default_factory=list)
+    phis: "list[Node]" = field(default_factory=list)
+
+    def entered_with(self) -> "list[Node]":
+        """What has to be there before the first turn."""
+        return self.inits
+
+    def makes(self, i: int) -> "tuple[Node, ...]":
+        """What phi and result i depend on."""
+        return self.outs[i], self.inits[i]
+
+    def replace(self, instead: "dict[Node, Node]") -> None:
+        """Use other nodes."""
+        self.outs = [instead.get(n, n) for n in self.outs]
+        self.inits = [instead.get(n, n) for n in self.inits]
+
+
+@dataclass(eq=False)
+class Branch(Scope):
+    """Computed where any scenario of the vector meets the condition; `otherwise` stands in."""
+
+    condition: "Node" = field(kw_only=True)
+    otherwise: "list[Node]" = field(default_factory=list)
+    demand: Any = frozenset([frozenset()])  # the condition as branches.py writes it
+
+    def entered_with(self) -> "list[Node]":
+        """What has to be there in any case."""
+        return [self.condition, *self.otherwise]
+
+    def makes(self, i: int) -> "tuple[Node, ...]":
+        """What result i depends on."""
+        return self.outs[i], self.condition, self.otherwise[i]
+
+    def replace(self, instead: "dict[Node, Node]") -> None:
+        """Use other nodes."""
+        self.outs = [instead.get(n, n) for n in self.outs]
+        self.condition = instead.get(self.condition, self.condition)
+        self.otherwise = [instead.get(n, n) for n in self.otherwise]
+
+
+@dataclass(eq=False)
+class Node:
+    """One operation on scalars."""
+
+    id: int  # operands have smaller ones
+    op: str
+    args: "tuple[Node, ...]"
+    kind: str  # f, i or b: float, integer, bool
+    scope: Scope | None  # where it is computed
+    uniform: bool  # the same for all scenarios
+    value: Any = None  # of a constant; the index of an input, phi or result; an exponent
+    of: Any = None  # the loop or branch whose phi or result it is
+
+    def before(self) -> "tuple[Node, ...]":
+        """What is computed before it: for a result, all that its loop or branch computes."""
+        if self.op != "result":
+            return self.args
+        return (*self.of.outs, *self.of.entered_with())
+
+    def needs(self) -> "tuple[Node, ...]":
+        """What of its own scope, or of one around, is computed before it; known by `capture`."""
+        return tuple(self.of.captured) if self.op == "result" else self.args
+
+    def __repr__(self) -> str:
+        of = f" of {id(self.of)}" if self.of else ""
+        return f"{self.id}: {self.op} {self.value} {[a.id for a in self.args]}{of}"
+
+
+def depth(scope: Scope | None) -> int:
+    """Scopes around a node of `scope`."""
+    return scope.depth if scope else 0
+
+
+class Graph:
+    """Nodes, each built once."""
+
+    def __init__(self) -> None:
+        self._known: dict[Any, Node] = {}
+        self._ids = count()
+
+    def node(self, op: str, args: Sequence[Node], kind: str, value: Any = None) -> Node:
+        """The node of an operation."""
+        # a bool equals an integer, and -0.0 equals 0.0: told apart by their names
+        key = (op, *(a.id for a in args), kind, repr(value))
+        if key not in self._known:
+            scope = max((a.scope for a in args), key=depth, default=None)
+            uniform = all(a.uniform for a in args)
+            self._known[key] = Node(next(self._ids), op, tuple(args), kind, scope, uniform, value)
+        return self._known[key]
+
+    def forget(self, nodes: Iterable[Node]) -> None:
+        """Never give these to anybody else."""
+        gone = set(nodes)
+        self._known = {key: node for key, node in self._known.items() if node not in gone}
+
+    def place(
+        self,
+        op: str,
+        kind: str,
+        value: int,
+        *,
+        uniform: bool,
+        scope: Scope | None = None,
+        of: Scope | None = None,
+    ) -> Node:
+        """An input of the whole, or a phi or result of the scope `of`."""
+        return Node(next(self._ids), op, (), kind, scope, uniform, value, of)
+
+    def constant(self, value: Any) -> Node:
+        """A number."""
+        number = np.asarray(value)
+        if number.ndim:
+            raise Untranslatable(f"an array of shape {number.shape}")
+        return self.node("constant", (), kind_of(number.dtype), number.item())
+
+    def inlined(self, jaxpr: Any, args: Sequence[Node], scope: Scope | None) -> list[Node]:
+        """The nodes of a closed jaxpr's results."""
+        inner = jaxpr.jaxpr
+        nodes = dict(zip(inner.invars, args, strict=True))
+        nodes |= {v: self.constant(c) for v, c in zip(inner.constvars, jaxpr.consts, strict=True)}
+
+        def read(atom: Any) -> Node:
+            return self.constant(atom.val) if hasattr(atom, "val") else nodes[atom]
+
+        for eqn in inner.eqns:
+            operands = [read(a) for a in eqn.invars]
+            nodes |= zip(eqn.outvars, self._translated(eqn, operands, scope), strict=True)
+        return [read(a) for a in inner.outvars]
+
+    def _translated(self, eqn: Any, args: list[Node], scope: Scope | None) -> list[Node]:
+        name, params = eqn.primitive.name, eqn.params
+        if name in SAME:
+            return args
+        if name in CALLS:
+            return self.inlined(params.get("jaxpr") or params["call_jaxpr"], args, scope)
+        if name == "scan":
+            return self._looped(params, args, scope)
+        kind = kind_of(eqn.outvars[0].aval.dtype)
+        if name == "convert_element_type":
+            return args if args[0].kind == kind else [self.node("convert", args, kind)]
+        return [self.node(name, args, kind, params.get("y"))]
+
+    def _looped(self, params: Any, args: list[Node], outer: Scope | None) -> list[Node]:
+        """The results of a `fori_loop` of known length, which JAX traces as a scan."""
+        body, n = params["jaxpr"], params["num_carry"]
+        if (
+            len(args) != params["num_consts"] + n
+            or len(body.out_avals) != n
+            or not params["length"]
+        ):
+            raise Untranslatable("a scan over arrays")
+        consts, inits = args[:-n], args[-n:]
+        assumed: list[bool] | None = None
+        found = [init.uniform for init in inits]
+        while found != assumed:  # what is assumed of the carry has to hold after a turn as well
+            assumed, loop = found, Loop(outer, length=params["length"], inits=inits)
+            loop.phis = [
+                self.place("phi", init.kind, i, uniform=same, scope=loop, of=loop)
+                for i, (init, same) in enumerate(zip(inits, assumed, strict=True))
+            ]
+            loop.outs = self.inlined(body, [*consts, *loop.phis], loop)
+            found = [u and out.uniform for u, out in zip(assumed, loop.outs, strict=True)]
+        return [
+            self.place("result", phi.kind, i, uniform=phi.uniform, scope=outer, of=loop)
+            for i, phi in enumerate(loop.phis)
+        ]
+
+
+def traced(run: Callable[..., Any], n: int, dtype: np.dtype) -> tuple[Graph, list[Node]]:
+    """Graph and results of `run(column, dt)` for one scenario of n quantities.
+
+    Raises Untranslatable.
+    """
+    scalar = jax.ShapeDtypeStruct((), dtype)
+    jaxpr = jax.make_jaxpr(run)([scalar] * n, scalar)
+    graph = Graph()
+    inputs = [graph.place("input", "f", i, uniform=i == n) for i in range(n + 1)]
+    return graph, graph.inlined(jaxpr, inputs, None)
+
+
+def kind_of(dtype: Any) -> str:
+    """f, i or b."""
+    kind = np.dtype(dtype).kind
+    if kind not in "fib":
+        raise Untranslatable(f"numbers of type {dtype}")
+    return str(kind)
+
+
+def fuse(graph: Graph, roots: Iterable[Node]) -> None:
+    """Make a product and the sum it is only used in one rounding, where the processor can.
+
+    Told here, and not left to the compiler: whether it sees both would depend on the branches.
+    """
+    nodes = live(roots)
+    uses: dict[Node, int] = {}
+    steps: dict[Node, int] = {}  # operations that have to come before
+    for node in nodes:
+        steps[node] = 1 + max((steps[a] for a in node.before() if a in steps), default=0)
+        for used in (*node.args, *(node.of.makes(node.value) if node.of else ())):
+            uses[used] = uses.get(used, 0) + 1
+    for node in nodes:
+        if node.op not in ("add", "sub") or node.kind != "f":
+            continue
+        products = [
+            (steps[a], i)
+            for i, a in enumerate(node.args)
+            if uses[a] == 1 and a.scope is node.scope and _factors(a)
+        ]
+        if products:
+            _, i = max(products)  # the one that is there last
+            signs = {"add": "+ +", "sub": ("+ -", "- +")[i]}[node.op]
+            graph.forget([node])
+            node.op, node.value = "fma", signs
+            node.args = (*_factors(node.args[i]), node.args[1 - i])
+
+
+def _factors(node: Node) -> tuple[Node, ...]:
+    square = node.op == "square" or (node.op == "integer_pow" and node.value == 2)
+    return node.args if node.op == "mul" else 2 * node.args if square else ()
+
+
+def live(roots: Iterable[Node]) -> list[Node]:
+    """All nodes the roots depend on, also through turns of loops, in an order to compute them."""
+    seen: set[Node] = set()
+    stack = list(roots)
+    while stack:
+        node = stack.pop()
+        if node not in seen:
+            seen.add(node)
+            stack += (*node.args, *(node.of.makes(node.value) if node.of else ()))
+    return ordered(roots, lambda node: [n for n in node.before() if n in seen])
+
+
+def ordered(roots: Iterable[Node], before: Callable[[Node], Iterable[Node]]) -> list[Node]:
+    """The roots and all that comes before them, each after what comes before it."""
+    order: dict[Node, None] = {}
+    entered: set[Node] = set()
+    stack = list(roots)[::-1]
+    while stack:
+        node = stack[-1]
+        waiting = [n for n in before(node) if n not in order]
+        if node in order or not waiting:
+            order[stack.pop()] = None
+        else:
+            assert node not in entered, f"{node} comes before itself"
+            entered.add(node)
+            stack += waiting[::-1]
+    return list(order)
+
+
+def capture(nodes: Iterable[Node]) -> None:
+    """Note in each loop and branch what the live `nodes` in it need from outside."""
+
+    def note(scope: Scope | None, needed: Node) -> None:
+        while scope is not needed.scope:
+            assert scope
+            scope.captured[needed] = None
+            scope = scope.outer
+
+    for node in nodes:
+        for arg in node.args:
+            note(node.scope, arg)
+        for needed in node.of.makes(node.value) if node.of else ():
+            note(node.of, needed)
