@@ -186,7 +186,7 @@ def _compute(
 
     In the precision of the store.
     """
-    params = {name: np.asarray(v, dtype) for name, v in vars(grid.params(block)).items()}
+    params = {name: np.asarray(v, dtype) for name, v in vars(grid.params(block, dtype)).items()}
     batch = Params(**{name: v[cells] if v.ndim else v for name, v in params.items()})
     plan = grid.sweep
     model, dt, n_steps = grid.model(block), plan.time.dt, plan.n_steps
