@@ -538,7 +538,7 @@ def main() -> None:
     warnings.showwarning = lambda message, *_, **__: print(
         f"fic-sweep: warning: {message}", file=sys.stderr
     )
-    code = 1  # of a traceback
+    code = 1  # of a traceback, or of printing that failed
 
     def end() -> None:
         with suppress(OSError, ValueError):
@@ -549,8 +549,9 @@ def main() -> None:
     # was imported, takes a quarter of a second.
     atexit.register(end)
     try:
-        code = _dispatch()
+        ended = _dispatch()
         sys.stdout.flush()
+        code = ended
     except BrokenPipeError:  # `fic-sweep list | head`
         sys.stderr.close()
     sys.exit(code)
