@@ -82,7 +82,7 @@ class Writer:
     def _encode(self, index: int, name: str, values: np.ndarray) -> bytes:
         """A block of a variable as the bytes of its file."""
         block, array = self.store.grid.block(index), self._twins[name]
-        array[block] = values.reshape(shape_of(block)).astype(array.dtype)
+        array[block] = values.reshape(shape_of(block)).astype(array.dtype, copy=False)
         return self._memory.pop(f"{name}/{self.store.file(name, index).name}").to_bytes()
 
     @cached_property
@@ -102,14 +102,21 @@ class Writer:
 def values_of(metrics: Metrics, errors: Metrics | None) -> Values:
     """What is stored of scenarios: a diverged one keeps no metrics, and its status says why."""
     finite = metrics.finite
-    values = {name: np.where(finite, value, np.nan) for name, value in vars(metrics).items()}
+    values = _without(~finite, metrics)
     values["trusted"] = np.full(finite.shape, NO_ESTIMATE)
     if errors is not None:
-        about = vars(errors).items()
-        values |= {f"{name}_error": np.where(finite, value, np.nan) for name, value in about}
+        values |= {f"{name}_error": v for name, v in _without(~finite, errors).items()}
         flags = np.where(trusted(metrics, errors), TRUSTED, NOT_TRUSTED)
         values["trusted"] = np.where(finite, flags, NO_ESTIMATE)
     return values | {"status": np.where(finite, OK, DIVERGED)}
+
+
+def _without(diverged: np.ndarray, metrics: Metrics) -> Values:
+    """Metrics with NaN for the diverged; few blocks have any, and copies take their time."""
+    values = vars(metrics)
+    if not diverged.any():
+        return dict(values)
+    return {name: np.where(diverged, np.nan, value) for name, value in values.items()}
 
 
 def no_values(grid: Grid, index: int) -> Values:

@@ -112,14 +112,18 @@ class Grid:
             chosen[name] = choice[place[name].start] if isinstance(choice, list) else choice
         return Model(**cast(Any, chosen))
 
-    def params(self, block: Block) -> Params:
-        """The scenarios of a block, flat in storage order; constant fields stay scalars."""
+    def params(self, block: Block, dtype: str | None = None) -> Params:
+        """The scenarios of a block, flat in storage order; constant fields stay scalars.
+
+        What varies is of `dtype`, or as the sweep has it.
+        """
         shape = shape_of(block)
         columns: dict[str, Any] = dict(self.sweep.constants)
         for i, (dim, part) in enumerate(zip(self.dims, block, strict=True)):
             for name, values in self.coordinates(dim, part).items():
                 if name in QUANTITIES:
-                    along = values.reshape([-1 if j == i else 1 for j in range(len(shape))])
+                    sides = [-1 if j == i else 1 for j in range(len(shape))]
+                    along = np.asarray(values, dtype).reshape(sides)
                     columns[name] = np.broadcast_to(along, shape).reshape(-1)
         return Params(**columns)
 

@@ -161,18 +161,21 @@ def _committed(
 def _attempt(store: Store, index: int, known: Row | None, attempt: int) -> tuple[Values, Row]:
     """Compute a block; what is known of it, from a smaller store, is not computed again."""
     block, began = store.grid.block(index), time.perf_counter()
-    values = kept(store, known) if known else None
-    if values is None:
-        values = no_values(store.grid, index)
-    todo = np.isin(values["status"], (OK, DIVERGED), invert=True)
+    before = kept(store, known) if known else None
+    todo: slice | np.ndarray = slice(None)
+    if before:
+        todo = np.isin(before["status"], (OK, DIVERGED), invert=True)
     try:
-        new = values_of(*_compute(store.grid, block, store.dtype, todo))
+        values = values_of(*_compute(store.grid, block, store.dtype, todo))
     except Exception as error:  # the sweep goes on without it, and says so
         told = f"{type(error).__name__}: {error}".splitlines()[0][:300]
+        values = before or no_values(store.grid, index)
         values["status"][todo] = FAILED
         return values, Row(index, SET_ASIDE, attempt=attempt, error=told)
-    for name in values:
-        values[name][todo] = new[name]
+    if before:
+        for name in before:
+            before[name][todo] = values[name]
+        values = before
     return values, Row(index, DONE, seconds=time.perf_counter() - began, attempt=attempt)
 
 
@@ -183,7 +186,7 @@ def _compute(
 
     In the precision of the store.
     """
-    params = {name: np.asarray(v, dtype) for name, v in vars(grid.params(block)).items()}
+    params = {name: np.asarray(v, dtype) for name, v in vars(grid.params(block, dtype)).items()}
     batch = Params(**{name: v[cells] if v.ndim else v for name, v in params.items()})
     plan = grid.sweep
     model, dt, n_steps = grid.model(block), plan.time.dt, plan.n_steps

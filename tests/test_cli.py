@@ -4,6 +4,7 @@ import os
 import re
 import signal
 import subprocess
+import sys
 import time
 
 import numpy as np
@@ -47,6 +48,41 @@ def test_help_names_every_command():
     done = call(".", "--help", code=0)
     for command in ("list", "show", "run", "resume", "status", "plot", "export", "bench"):
         assert re.search(rf"^  {command} ", done.stdout, re.MULTILINE)
+
+
+END = """
+import atexit, sys
+from sweeps import cli
+
+def dispatch():
+    atexit.register(print, "cleaned up")
+    print("done")
+    if sys.argv[1:]:
+        raise RuntimeError("a mistake of ours")
+    return 2
+
+cli._dispatch = dispatch
+cli.main()
+"""
+
+
+@pytest.mark.parametrize(("wrong", "code", "told"), [([], 2, ""), (["wrong"], 1, "a mistake of")])
+def test_a_process_ends_with_its_code_once_all_is_printed_and_cleaned_up(wrong, code, told):
+    done = subprocess.run(
+        [sys.executable, "-c", END, *wrong], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (code, "done\ncleaned up\n")
+    assert told in done.stderr and bool(done.stderr) == bool(told)
+
+
+def test_a_reader_who_has_gone_is_no_reason_for_a_traceback():
+    buffered = {k: v for k, v in os.environ.items() if k != "PYTHONUNBUFFERED"}
+    with subprocess.Popen(
+        [FIC_SWEEP, "--version"], env=buffered, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 1
 
 
 def test_list_and_show(folder):

@@ -4,6 +4,7 @@
 """
 
 import asyncio
+import atexit
 import errno
 import json
 import math
@@ -689,9 +690,10 @@ def test_a_second_process_is_refused_until_the_first_is_gone(
 def command(capsys, *arguments):
     """`fic-sweep` in this process: its exit code, what it told, and what it printed.
 
-    JAX and the signals stay as they are.
+    JAX and the signals stay as they are, and the tests go on.
     """
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(atexit, "register", lambda _: None)
         patch.setattr(sys, "argv", ["fic-sweep", *map(str, arguments)])
         patch.setattr(runner, "configure", lambda *_: None)
         patch.setattr(signal, "signal", lambda *_: None)

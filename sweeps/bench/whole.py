@@ -32,10 +32,13 @@ def _end_with_stdin() -> None:
 
 def _with_report(report: Path, began: float) -> None:
     """Import what `run` imports later, then run, listening to JAX."""
-    import jax
-
-    import sweeps.runner  # noqa: F401  imported here to be timed
+    from sweeps.cli import importing
     from sweeps.cli import main as fic_sweep
+
+    with importing():
+        import jax
+
+        import sweeps.runner  # noqa: F401  imported here to be timed
 
     spans: list[tuple[float, float]] = []
 
