@@ -29,7 +29,7 @@ UNROLL = {"rk4": 2, "rk4_events": 1}
 
 # What is told where an arrangement can't be built.
 SLOWER = {
-    "native": "no vector kernel {where}: compiled by XLA instead, expect half of the speed or less; "
+    "native": "no vector kernel {where}: compiled by XLA instead, expect half of the speed; "
     "`pip install llvmlite` if it is missing",
     "kernel": "no GPU kernel {where}: several launches for each plant step instead, expect a small "
     "part of the speed",
