@@ -64,13 +64,7 @@ def _whole(n: int, lanes: int) -> int:
 class Kernel:
     """`run(column, dt)` compiled for vectors of scenarios; threads may share it."""
 
-    def __init__(
-        self,
-        run: Callable[..., Any],
-        n_columns: int,
-        dtype: np.dtype,
-        machine: llvm.TargetMachine | None = None,
-    ) -> None:
+    def __init__(self, run: Callable[..., Any], n_columns: int, dtype: np.dtype) -> None:
         self.dtype, self.lanes = dtype, lanes(dtype)
         graph, roots = traced(run, n_columns, dtype)
         fuse(graph, roots)
@@ -78,7 +72,7 @@ class Kernel:
         self.n_results = len(roots)
         # Every value is in its register already: LLVM's own passes over the text gain nothing, and
         # turn conditions into bits.
-        machine = machine or this_processor()
+        machine = this_processor()
         module = llvm.parse_assembly(kernel(roots, n_columns, dtype, self.lanes))
         module.triple, module.data_layout = machine.triple, str(machine.target_data)
         self._code = llvm.create_mcjit_compiler(module, machine)  # lives as long as the function

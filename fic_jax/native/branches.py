@@ -47,7 +47,7 @@ def keep(graph: Graph, latch: Node, everything: list[Node], roots: Sequence[Node
     outs = [n for n in inside if not users[n].issubset(inside)]
     demand = without(either(*(wanted[n] for n in outs)), dependants(inside, nodes))
     # What is kept at first is right for a latch of 0.
-    zero = graph.constant(ZERO[latch.kind])
+    zero = graph.constant(ZERO[latch.kind], latch.kind)
     key, firsts = carried(graph, loop, zero), replayed(graph, inside, latch, zero)
     kept = [key, *(carried(graph, loop, firsts[n]) for n in outs)]
     changed = graph.node("differs", (latch, key), "b")
@@ -120,7 +120,7 @@ def jump_over(graph: Graph, loop: Loop, roots: Sequence[Node]) -> bool:
             continue
         users = users_of(everything)
         outs = [n for n in inside if not users[n].issubset(inside)]
-        zeros = [graph.constant(ZERO[n.kind]) for n in outs]
+        zeros = [graph.constant(ZERO[n.kind], n.kind) for n in outs]
         branch = Branch(scope, outs, condition=condition, otherwise=zeros, demand=known)
         move(graph, inside, branch, everything)
         return True

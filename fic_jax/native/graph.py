@@ -115,7 +115,8 @@ def depth(scope: Scope | None) -> int:
 class Graph:
     """Nodes, each built once."""
 
-    def __init__(self) -> None:
+    def __init__(self, dtype: np.dtype) -> None:
+        self.dtype = dtype
         self._known: dict[Any, Node] = {}
         self._ids = count()
 
@@ -147,21 +148,29 @@ class Graph:
         """An input of the whole, or a phi or result of the scope `of`."""
         return Node(next(self._ids), op, (), kind, scope, uniform, value, of)
 
-    def constant(self, value: Any) -> Node:
-        """A number."""
-        number = np.asarray(value)
-        if number.ndim:
-            raise Untranslatable(f"an array of shape {number.shape}")
-        return self.node("constant", (), kind_of(number.dtype), number.item())
+    def constant(self, value: Any, kind: str = "f") -> Node:
+        """A number; one written in the program may be of any width."""
+        if np.ndim(value):
+            raise Untranslatable(f"an array of shape {np.shape(value)}")
+        return self.node("constant", (), kind, np.asarray(value).item())
+
+    def kind(self, dtype: np.dtype) -> str:
+        """f, i or b. All have the width of the numbers: whole ones are counts of less than 2^31."""
+        if dtype.kind not in "fib" or (dtype.kind == "f" and dtype != self.dtype):
+            raise Untranslatable(f"{dtype} among {self.dtype}")
+        return str(dtype.kind)
 
     def inlined(self, jaxpr: Any, args: Sequence[Node], scope: Scope | None) -> list[Node]:
         """The nodes of a closed jaxpr's results."""
         inner = jaxpr.jaxpr
         nodes = dict(zip(inner.invars, args, strict=True))
-        nodes |= {v: self.constant(c) for v, c in zip(inner.constvars, jaxpr.consts, strict=True)}
 
         def read(atom: Any) -> Node:
-            return self.constant(atom.val) if hasattr(atom, "val") else nodes[atom]
+            number = hasattr(atom, "val")
+            return self.constant(atom.val, atom.aval.dtype.kind) if number else nodes[atom]
+
+        for var, value in zip(inner.constvars, jaxpr.consts, strict=True):
+            nodes[var] = self.constant(value, self.kind(var.aval.dtype))
 
         for eqn in inner.eqns:
             operands = [read(a) for a in eqn.invars]
@@ -176,7 +185,7 @@ class Graph:
             return self.inlined(params.get("jaxpr") or params["call_jaxpr"], args, scope)
         if name == "scan":
             return self._looped(params, args, scope)
-        kind = kind_of(eqn.outvars[0].aval.dtype)
+        kind = self.kind(eqn.outvars[0].aval.dtype)
         if name == "convert_element_type":
             return args if args[0].kind == kind else [self.node("convert", args, kind)]
         return [self.node(name, args, kind, params.get("y"))]
@@ -214,17 +223,9 @@ def traced(run: Callable[..., Any], n: int, dtype: np.dtype) -> tuple[Graph, lis
     """
     scalar = jax.ShapeDtypeStruct((), dtype)
     jaxpr = jax.make_jaxpr(run)([scalar] * n, scalar)
-    graph = Graph()
+    graph = Graph(dtype)
     inputs = [graph.place("input", "f", i, uniform=i == n) for i in range(n + 1)]
     return graph, graph.inlined(jaxpr, inputs, None)
-
-
-def kind_of(dtype: Any) -> str:
-    """f, i or b."""
-    kind = np.dtype(dtype).kind
-    if kind not in "fib":
-        raise Untranslatable(f"numbers of type {dtype}")
-    return str(kind)
 
 
 def fuse(graph: Graph, roots: Iterable[Node]) -> None:
@@ -233,7 +234,7 @@ def fuse(graph: Graph, roots: Iterable[Node]) -> None:
     Told here, and not left to the compiler: whether it sees both would depend on the branches.
     """
     nodes = live(roots)
-    uses: dict[Node, int] = {}
+    uses = dict.fromkeys(roots, 1)
     steps: dict[Node, int] = {}  # operations that have to come before
     for node in nodes:
         steps[node] = 1 + max((steps[a] for a in node.before() if a in steps), default=0)

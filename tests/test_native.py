@@ -1,0 +1,340 @@
+"""The kernel of a CPU: its operations against numpy's, its branches against none, its fall-back."""
+
+import sys
+import warnings
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import llvmlite.binding as llvm
+import numpy as np
+import pytest
+
+from fic_jax import METRICS, Model, Params, engine, native, sweep
+from fic_jax.native import Kernel, branches
+from fic_jax.native.graph import Branch, Loop, Untranslatable, fuse, live, traced
+from fic_jax.native.vectors import kernel
+from fic_jax.params import QUANTITIES
+
+DTYPES = [np.dtype(np.float32), np.dtype(np.float64)]
+ODD = [0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 3.0, 7.25, 1e-30, -1e-30, 1e30, np.inf, -np.inf, np.nan]
+# every option at least once
+MODELS = [
+    Model(),
+    Model("effort", "error_rate", "running", "motor", "damped_rebound", "rk4_events"),
+    Model("energy", "velocity_band", "latched", "interaction", "welded", "rk4_events"),
+    Model("algorithm1", "error_rate", "running", "interaction", "hard_stop", "rk4"),
+]
+
+
+def computed(run, dtype, *columns, dt=0.25):
+    """Results of `run` for columns, padded to whole vectors."""
+    made = Kernel(run, len(columns), dtype)
+    n = len(columns[0])
+    whole = np.zeros((len(columns), -(-n // made.lanes) * made.lanes), dtype)
+    for row, column in zip(whole, columns, strict=True):
+        row[:n] = column
+    return made(whole, dt)[:, :n]
+
+
+def pairs(dtype):
+    """Every pair of odd numbers."""
+    x, y = np.meshgrid(np.array(ODD, dtype), np.array(ODD, dtype))
+    return x.ravel(), y.ravel()
+
+
+def ones(condition, x):
+    return condition.astype(x.dtype)
+
+
+NUMBERS = {
+    "add": lambda x, y: x + y,
+    "sub": lambda x, y: x - y,
+    "mul": lambda x, y: x * y,
+    "div": lambda x, y: x / y,
+    "neg": lambda x, y: -x,
+    "abs": lambda x, y: abs(x),
+    "sign": lambda x, y: jnp.sign(x),
+    "max": jnp.maximum,
+    "min": jnp.minimum,
+    "floor": lambda x, y: jnp.floor(x),
+    "ceil": lambda x, y: jnp.ceil(x),
+    "sqrt": lambda x, y: jnp.sqrt(x),
+    "square": lambda x, y: jnp.square(x),
+    "power": lambda x, y: x**2,
+    "cube": lambda x, y: x**3,
+    "where": lambda x, y: jnp.where(x < y, x, y),
+    "le": lambda x, y: ones(x <= y, x),
+    "ge": lambda x, y: ones(x >= y, x),
+    "eq": lambda x, y: ones(x == y, x),
+    "ne": lambda x, y: ones(x != y, x),
+    "finite": lambda x, y: jnp.where(jnp.isfinite(x), x, 5.0),
+    "and": lambda x, y: ((x > 0) & (y > 0)).astype(x.dtype),
+    "or": lambda x, y: ((x > 0) | ~(y > 0)).astype(x.dtype),
+    "xor": lambda x, y: ((x > 0) ^ (y > 0)).astype(x.dtype),
+    "counted": lambda x, y: ((x > 0).astype(jnp.int32) - (y > 0).astype(jnp.int32)).astype(x.dtype),
+    "integers": lambda x, y: jnp.maximum(
+        (x > 0).astype(jnp.int32), 3 * (y > 0).astype(jnp.int32)
+    ).astype(x.dtype),
+    "clipped": lambda x, y: jnp.clip(x, -2.0, 2.0),
+}
+
+
+@pytest.mark.parametrize("dtype", DTYPES, ids=str)
+def test_operations_are_ieee_with_every_pair_of_odd_numbers(dtype):
+    x, y = pairs(dtype)
+    found = computed(lambda c, dt: [of(*c) for of in NUMBERS.values()], dtype, x, y)
+    for got, (name, of) in zip(found, NUMBERS.items(), strict=True):
+        with np.errstate(all="ignore"):
+            expected = np.asarray(jax.jit(of)(x, y))
+        assert expected.dtype == dtype
+        np.testing.assert_array_equal(got, expected, err_msg=name)
+
+
+@pytest.mark.parametrize("dtype", DTYPES, ids=str)
+def test_whole_numbers_and_conditions_come_as_integers_of_the_numbers_width(dtype):
+    x = np.array([-2.5, -1.0, 0.0, 1.0, 2.5, 7.0], dtype)
+    found = computed(lambda c, dt: [c[0].astype(jnp.int32), c[0] > 1.0], dtype, x)
+    whole = found.view(f"i{dtype.itemsize}")
+    np.testing.assert_array_equal(whole[0], [-2, -1, 0, 1, 2, 7])
+    np.testing.assert_array_equal(whole[1].astype(bool), x > 1.0)
+
+
+@pytest.mark.parametrize(("dtype", "least", "most"), [(DTYPES[0], -87, 88), (DTYPES[1], -708, 709)])
+def test_exponentials_are_right_to_two_units_of_the_last_place(dtype, least, most):
+    x = np.random.default_rng(0).uniform(least, most, 100_000).astype(dtype)
+    (got,) = computed(lambda c, dt: [jnp.exp(c[0])], dtype, x)
+    expected = np.exp(x.astype(np.longdouble))
+    error = np.abs(got - expected) / np.spacing(expected.astype(dtype))
+    assert error.max() < 2.0
+    ends = np.array([0.0, -0.0, -1e4, 1e4, -np.inf, np.inf, np.nan], dtype)
+    (got,) = computed(lambda c, dt: [jnp.exp(c[0])], dtype, ends)
+    np.testing.assert_array_equal(got, [1.0, 1.0, 0.0, np.inf, 0.0, np.inf, np.nan])
+
+
+LOOPS = {
+    "swapped": lambda c, dt: jax.lax.fori_loop(0, 5, lambda i, s: (s[1], s[0]), (c[0], c[1])),
+    "unchanged": lambda c, dt: jax.lax.fori_loop(0, 5, lambda i, s: s, (c[0], c[1])),
+    # a carry that starts the same for all scenarios, and does not stay so
+    "uniform": lambda c, dt: jax.lax.fori_loop(
+        0, 4, lambda i, s: (s[1], s[1] + c[0], dt), 3 * (dt,)
+    ),
+    "counted": lambda c, dt: jax.lax.fori_loop(
+        0,
+        7,
+        lambda i, s: (s[0] + i.astype(float) * c[0], jnp.where(i == 3, c[1], s[1])),
+        (c[0], c[1]),
+    ),
+    "nested": lambda c, dt: jax.lax.fori_loop(
+        0,
+        3,
+        lambda i, s: jax.lax.fori_loop(0, 2, lambda j, t: (t[0] + c[1], t[1] * 0.5), s),
+        (c[0], c[1]),
+    ),
+    "two": lambda c, dt: jax.lax.fori_loop(
+        0,
+        3,
+        lambda i, s: (s[0] * 2.0, s[1] + s[0]),
+        jax.lax.fori_loop(0, 2, lambda i, s: (s[0] + dt, s[1] - dt), (c[0], c[1])),
+    ),
+    # latched values of which something costly is computed, from a start that isn't 0
+    "latched": lambda c, dt: jax.lax.fori_loop(
+        0,
+        9,
+        lambda i, s: (
+            jnp.where(s[1] > 0.0, s[1], s[0]),
+            jnp.exp(-jnp.abs(jnp.where(s[1] > 0.0, s[1], s[0]))) - s[1],
+        ),
+        (c[0], c[1]),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_loops_are_what_jax_makes_of_them(name):
+    """Exact where nothing rounds, else to what one rounding in place of two can make."""
+    x, y = np.linspace(-3.0, 4.0, 40), np.linspace(2.0, -2.0, 40)
+    found = computed(LOOPS[name], np.dtype(float), x, y, dt=0.25)
+    expected = jax.vmap(LOOPS[name], in_axes=(0, None))([jnp.asarray(x), jnp.asarray(y)], 0.25)
+    for got, want in zip(found, expected, strict=True):
+        np.testing.assert_allclose(got, want, rtol=1e-14, atol=1e-15)
+
+
+def test_a_product_and_the_sum_it_is_only_used_in_are_rounded_once():
+    x = np.array([1.0 + 2.0**-20] * 8, np.float32)
+    y = np.array([1.0 - 2.0**-20] * 8, np.float32)
+    found = computed(lambda c, dt: [c[0] * c[1] - 1.0], np.dtype(np.float32), x, y)
+    exact, rounded = -(2.0**-40), 0.0
+    fused = llvm.get_host_cpu_features().get("fma", True)  # ARM has it without a word
+    np.testing.assert_array_equal(found[0], exact if fused else rounded)
+    twice = computed(lambda c, dt: [c[0] * c[1] - 1.0, c[0] * c[1]], np.dtype(np.float32), x, y)
+    np.testing.assert_array_equal(twice[0], rounded)
+
+
+@pytest.mark.parametrize(
+    ("run", "told"),
+    [
+        (lambda c, dt: [jnp.sin(c[0])], "the operation sin"),
+        (lambda c, dt: [c[0] ** 5], "the power 5"),
+        (lambda c, dt: [jax.lax.scan(lambda s, x: (s, s), c[0], length=3)[0]], "over arrays"),
+        (lambda c, dt: [jnp.stack(c).sum()], "the operation|array"),
+        (lambda c, dt: [jax.lax.while_loop(lambda s: s < 1, lambda s: s + 1, c[0])], "while"),
+    ],
+)
+def test_what_has_no_translation_is_named(run, told):
+    with pytest.raises(Untranslatable, match=told):
+        computed(run, np.dtype(np.float32), np.ones(8, np.float32))
+
+
+def test_numbers_of_other_types_have_none():
+    with pytest.raises(Untranslatable, match="numbers of type float16"):
+        Kernel(lambda c, dt: [c[0] + dt], 1, np.dtype(np.float16))
+    with pytest.raises(Untranslatable, match="float64 among float32"):
+        Kernel(lambda c, dt: [c[0].astype(float)], 1, np.dtype(np.float32))
+
+
+# ---- The law -------------------------------------------------------------------------------------
+
+
+def batch(n, dtype, seed=0):
+    """Scenarios over wide ranges, the last of them with a stiffness that diverges."""
+    rng = np.random.default_rng(seed)
+    columns = {
+        "K0": np.exp(rng.uniform(0.0, 7.0, n)),
+        "Kenv": np.exp(rng.uniform(2.0, 7.0, n)),
+        "Denv": np.exp(rng.uniform(0.0, 7.0, n)),
+        "Td": rng.uniform(-20.0, 20.0, n),
+        "S": rng.uniform(1.0, 30.0, n),
+        "gap": rng.choice([0.0, 0.02], n),
+        "period": rng.choice([0.01, 0.03], n),
+        "v_init": rng.choice([0.0, 0.5], n),
+    }
+    columns["Kenv"][-1] = 1e9
+    return Params(**{k: v.astype(dtype) for k, v in columns.items()})
+
+
+@pytest.fixture
+def arranged(monkeypatch):
+    """How the engine arranges scenarios here; programs of the test are forgotten afterwards."""
+
+    def arrange(arrangement):
+        monkeypatch.setitem(engine.ARRANGEMENT, "cpu", arrangement)
+        engine._compiled.cache_clear()
+
+    yield arrange
+    engine._compiled.cache_clear()
+
+
+def assert_same(a, b):
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        np.testing.assert_array_equal(x, y)
+
+
+@pytest.mark.parametrize(
+    ("model", "dtype"), list(zip(MODELS, (*DTYPES, *DTYPES), strict=True)), ids=str
+)
+def test_branches_change_no_bit(arranged, model, dtype, monkeypatch):
+    scenarios = batch(500, dtype)
+    arranged("native")
+    jumping = sweep(scenarios, model=model, dt=0.01, n_steps=120)
+    monkeypatch.setattr(native, "branch_out", lambda graph, roots: None)
+    arranged("native")
+    assert_same(sweep(scenarios, model=model, dt=0.01, n_steps=120), jumping)
+
+
+@pytest.mark.parametrize("model", MODELS, ids=str)
+def test_the_kernel_agrees_with_the_scan_to_rounding(arranged, model):
+    """Both follow the same traced function; 60 steps are too few for a rounding to grow."""
+    scenarios = replace(batch(300, float, seed=1), Kenv=np.full(300, 200.0))
+    found = []
+    for arrangement in ("native", "scan"):
+        arranged(arrangement)
+        found.append(sweep(scenarios, model=model, dt=0.01, n_steps=60, error_estimate=True))
+    for mine, theirs in zip(*found, strict=True):
+        for name in METRICS:
+            got, expected = getattr(mine, name), getattr(theirs, name)
+            assert got.dtype == expected.dtype
+            # one scenario in a hundred stands on a switch to rounding
+            close = np.isclose(got, expected, rtol=1e-7, atol=1e-9, equal_nan=True)
+            assert np.mean(close) > 0.98, name
+
+
+def test_the_default_law_jumps_over_its_exponentials():
+    """One branch for the slopes of a latched peak, one for each of RK4's stages."""
+    graph, roots = traced(engine._scenario(Model(), 50, False, 1), len(QUANTITIES), DTYPES[0])
+    fuse(graph, roots)
+    branches.branch_out(graph, roots)
+    nodes = live(roots)
+    (loop,) = {n.of for n in nodes if isinstance(n.of, Loop)}
+    found = {n.of for n in nodes if isinstance(n.of, Branch) and n.of.outer is loop}
+    assert len(found) == 5
+    assert not [n for n in nodes if n.op in ("exp", "div") and n.scope is loop]
+
+
+def scenario(model=Model()):
+    return engine._scenario(model, 50, False, 1)
+
+
+@pytest.mark.parametrize(
+    ("triple", "cpu", "lanes"),
+    [
+        ("x86_64-unknown-linux-gnu", "x86-64", 8),
+        ("x86_64-unknown-linux-gnu", "skylake-avx512", 32),
+        ("aarch64-unknown-linux-gnu", "neoverse-n1", 8),
+        ("arm64-apple-macosx", "apple-m1", 4),
+    ],
+)
+def test_other_processors_have_instructions_for_it(triple, cpu, lanes):
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    machine = llvm.Target.from_triple(triple).create_target_machine(cpu=cpu, opt=3)
+    graph, roots = traced(scenario(), len(QUANTITIES), DTYPES[0])
+    fuse(graph, roots)
+    branches.branch_out(graph, roots)
+    module = llvm.parse_assembly(kernel(roots, len(QUANTITIES), DTYPES[0], lanes))
+    module.verify()
+    module.triple, module.data_layout = triple, str(machine.target_data)
+    calls = machine.emit_assembly(module).count("call")
+    assert calls == 0 or cpu == "x86-64"  # which has no instruction to round down
+
+
+def test_a_processor_without_wide_vectors_agrees_to_rounding(arranged, monkeypatch):
+    """SSE2, without fused products, run here."""
+    if not llvm.get_process_triple().startswith("x86_64"):
+        pytest.skip("the base of x86")
+    scenarios = replace(batch(100, float, seed=2), Kenv=np.full(100, 200.0))
+    arranged("native")
+    ours = sweep(scenarios, dt=0.01, n_steps=60)
+    target = llvm.Target.from_default_triple()
+    base = target.create_target_machine(cpu="x86-64", opt=3, jit=True)
+    monkeypatch.setattr(native, "this_processor", lambda: base)
+    monkeypatch.setattr(native, "lanes", lambda dtype: 4)
+    arranged("native")
+    theirs = sweep(scenarios, dt=0.01, n_steps=60)
+    close = np.isclose(ours.nmse, theirs.nmse, rtol=1e-9)
+    assert np.mean(close) > 0.98
+    assert not np.array_equal(ours.nmse, theirs.nmse)
+
+
+@pytest.mark.parametrize("missing", [True, False])
+def test_without_llvm_xla_compiles_and_one_warning_says_so(arranged, missing, monkeypatch):
+    scenarios = batch(10, np.float32)
+    arranged("scan")
+    expected = sweep(scenarios, dt=0.01, n_steps=20)
+    if missing:
+        for name in [
+            name for name in sys.modules if name.startswith(("llvmlite", "fic_jax.native"))
+        ]:
+            monkeypatch.delitem(sys.modules, name)
+        monkeypatch.setitem(sys.modules, "llvmlite", None)
+    else:
+        monkeypatch.setattr(native, "this_processor", lambda: 1 / 0)
+    arranged("native")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        found = [sweep(scenarios, dt=0.01, n_steps=20) for _ in range(2)]
+    (message,) = [str(w.message) for w in told]
+    assert message.startswith("no vector kernel with jax")
+    assert ("pip install llvmlite" in message) and (not missing or "llvmlite" in message[:90])
+    for metrics in found:
+        assert_same(metrics, expected)
