@@ -179,8 +179,11 @@ def _compiled(
         if arrangement == "native":
             from fic_jax.native import in_vectors  # llvmlite may not be there
 
-            fill = in_vectors(scenario, len(QUANTITIES), result, dtype, threads(devices))
-            return Program(fill, result)
+            identity = f"{model} {n_steps} {error_estimate}"
+            n = threads(devices)
+            return Program(
+                in_vectors(scenario, len(QUANTITIES), result, dtype, n, identity), result
+            )
         fill = in_blocks(arrangement, scenario, len(QUANTITIES), result, dtype, devices)
         return Program(fill, result)
 

@@ -31,11 +31,22 @@ def run(folder: Path, kept: str) -> bytes:
 def test_a_second_run_takes_the_kept_program_and_gives_the_same_bits(tmp_path):
     kept = tmp_path / "kept"
     first = run(tmp_path / "first", str(kept))
-    programs = {path: path.stat().st_mtime_ns for path in kept.rglob("*-cache")}
-    assert programs
+    (program,) = kept.rglob("fic_jax-*.o")
+    made = program.stat().st_mtime_ns
     assert run(tmp_path / "second", str(kept)) == first
-    assert {path: path.stat().st_mtime_ns for path in kept.rglob("*-cache")} == programs
+    assert program.stat().st_mtime_ns == made
     assert run(tmp_path / "none", "") == first
+
+
+@pytest.mark.parametrize("change", [lambda b: b[: len(b) // 2], lambda b: b[:99] + b"x" + b[100:]])
+def test_a_spoilt_program_is_made_again(tmp_path, change):
+    kept = tmp_path / "kept"
+    first = run(tmp_path / "first", str(kept))
+    (program,) = kept.rglob("fic_jax-*.o")
+    whole = program.read_bytes()
+    program.write_bytes(change(whole))
+    assert run(tmp_path / "second", str(kept)) == first
+    assert program.read_bytes() == whole
 
 
 def test_the_folder_is_the_users_choice(tmp_path, monkeypatch):

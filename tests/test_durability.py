@@ -535,10 +535,10 @@ def test_what_is_no_part_of_a_store_is_found_and_left(memory, stores, quick, nam
 class Victim:
     """A process at work on a store; `said` is what it told."""
 
-    def __init__(self, context, path, program):
+    def __init__(self, context, path, programs):
         self.said, self.began = [], time.monotonic()
         self.pipe, theirs = context.Pipe(duplex=False)
-        self.process = context.Process(target=work, args=(path, program, theirs), daemon=True)
+        self.process = context.Process(target=work, args=(path, programs, theirs), daemon=True)
         self.process.start()
         theirs.close()
 
@@ -593,18 +593,18 @@ def test_killed_processes_lose_nothing(tmp_path, forks):
     """SIGKILL at a random time of a run, or just after it told of a block: while the next one is
     committed."""
     chance, phases, folder = random.Random(3), Counter(), tmp_path
-    program, path = folder / "program", folder / "tiny.zarr"
-    keeping = forks.Process(target=keep, args=(program,))
+    programs, path = folder / "programs", folder / "tiny.zarr"
+    keeping = forks.Process(target=keep, args=(programs,))
     keeping.start()
     keeping.join()
-    whole = Victim(forks, folder / "whole", program)
+    whole = Victim(forks, folder / "whole", programs)
     whole.listen(300)
     whole.process.join()
     assert whole.said[-2:] == [CELLS, "ended"]
     lasts, expected = whole.ended - whole.began, contents(folder / "whole")
     stores = kills = acknowledged = 0
     while kills < many(40, 1000) or path.exists():
-        victim = Victim(forks, path, program)
+        victim = Victim(forks, path, programs)
         if chance.random() < 0.5:
             victim.listen(chance.uniform(0, lasts))
         else:

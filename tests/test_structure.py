@@ -32,7 +32,8 @@ ARROWS = {
     "fic_jax.native.demands": {"fic_jax.native.graph"},
     "fic_jax.native.branches": {f"fic_jax.native.{n}" for n in ("graph", "demands")},
     "fic_jax.native.vectors": {"fic_jax.native.graph"},
-    "fic_jax.native": {f"fic_jax.native.{n}" for n in ("graph", "branches", "vectors")},
+    "fic_jax.native.code": {"fic_jax"},  # where it lies
+    "fic_jax.native": {f"fic_jax.native.{n}" for n in ("graph", "branches", "vectors", "code")},
     "fic_jax.engine": {
         f"fic_jax.{n}" for n in ("params", "metrics", "accuracy", "blocks", "native")
     },

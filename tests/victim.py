@@ -1,20 +1,15 @@
 """A process that runs or resumes a sweep, and tells how far it is; to be killed."""
 
 import os
-import pickle
 import time
-from dataclasses import replace
-from functools import cache
 from multiprocessing.connection import Connection
 from pathlib import Path
 
 import jax
 import numpy as np
-from jax.experimental.serialize_executable import deserialize_and_load, serialize
 from numcodecs.blosc import get_mutex
 
 from fic_jax import engine
-from fic_jax.blocks import LANES
 from sweeps import runner
 from sweeps.cache import VARIABLE
 from sweeps.owner import owning
@@ -33,10 +28,10 @@ Td = { lin = [1.0, 9.0], n = 16 }
 """
 
 
-def work(path: Path, program: Path, told: Connection) -> None:
+def work(path: Path, programs: Path, told: Connection) -> None:
     """What `fic-sweep run` or `resume` does, whichever it takes."""
+    os.environ[VARIABLE] = str(programs)
     runner.configure(32)
-    load(program)
     plan = parse(TEXT, "victim.toml")
     if path.exists():
         store = runner.reopen(path, 32)
@@ -46,31 +41,11 @@ def work(path: Path, program: Path, told: Connection) -> None:
     told.send("ended")
 
 
-def keep(program: Path) -> None:
+def keep(programs: Path) -> None:
     """The engine's program, compiled: tracing it takes longer than all the rest of a run."""
-    os.environ[VARIABLE] = ""  # what comes out of the cache of programs can't be written again
+    os.environ[VARIABLE] = str(programs)
     runner.configure(32)
-    engine.ARRANGEMENT["cpu"] = "scan"  # a program that can be written
-    arguments = engine.Model(), 500, False, np.dtype("float32"), tuple(jax.local_devices())
-    made = engine._compiled(*arguments).fill
-    shape = (len(engine.QUANTITIES), made.n_devices, made.blocks, LANES)
-    columns = jax.ShapeDtypeStruct(shape, np.float32, sharding=made.sharding)
-    whole = made.run.lower(columns, np.float32(0.01), np.int32(1)).compile()
-    program.write_bytes(pickle.dumps(serialize(whole)))
-
-
-def load(program: Path) -> None:
-    """Give the engine its program, instead of having it traced again."""
-    engine.ARRANGEMENT["cpu"] = "scan"
-    make = engine._compiled
-
-    @cache
-    def compiled(*arguments):
-        run = deserialize_and_load(*pickle.loads(program.read_bytes()))
-        made = make(*arguments)
-        return replace(made, fill=replace(made.fill, run=run))
-
-    engine._compiled = compiled
+    engine._compiled(engine.Model(), 500, False, np.dtype("float32"), tuple(jax.local_devices()))
 
 
 def own(path: Path, told: Connection) -> None:

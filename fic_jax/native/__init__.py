@@ -6,30 +6,35 @@ last. It jumps over what none of them needs; bits do not depend on who shares a 
 """
 
 import ctypes
+import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
-import llvmlite.binding as llvm
 import numpy as np
 
 from fic_jax.native.branches import branch_out
-from fic_jax.native.graph import fuse, traced
+from fic_jax.native.code import Function, kept, register_bytes, this_processor
+from fic_jax.native.graph import Untranslatable, fuse, traced
 from fic_jax.native.vectors import kernel
 
 VECTORS = 2  # registers that make up one value: one instruction's latency hides the other's
 PART = 4096  # scenarios that a thread takes at a time: some hundredths of a second at 1,000 steps
+COMPILED = "/fic_jax/compile/native"  # the event that tells listeners of JAX how long it took
+
+Scenario = Callable[[list[jax.Array], jax.Array], Any]  # quantities, dt -> results
 
 
 def in_vectors(
-    run: Callable[..., Any], n_columns: int, result: Any, dtype: np.dtype, threads: int
+    run: Scenario, n_columns: int, result: Any, dtype: np.dtype, threads: int, identity: str
 ) -> Callable[[Sequence[np.ndarray], np.ndarray, Any], None]:
     """What writes the results of `run(column, dt)`, of types `result`, for N scenarios to `out`.
 
-    Raises Untranslatable if `run` uses what there is no instruction for here.
+    `identity` names `run` among all that these sources can make. Raises Untranslatable if it uses
+    what there is no instruction for here.
     """
-    compiled = Kernel(run, n_columns, dtype)
+    compiled = Kernel(run, n_columns, len(jax.tree.leaves(result)), dtype, identity)
 
     def fill(leaves: Sequence[np.ndarray], dt: np.ndarray, out: Any) -> None:
         n = len(leaves[0])
@@ -62,24 +67,28 @@ def _whole(n: int, lanes: int) -> int:
 
 
 class Kernel:
-    """`run(column, dt)` compiled for vectors of scenarios; threads may share it."""
+    """`run(column, dt)` compiled for vectors of `lanes` scenarios; threads may share it."""
 
-    def __init__(self, run: Callable[..., Any], n_columns: int, dtype: np.dtype) -> None:
-        self.dtype, self.lanes = dtype, lanes(dtype)
-        graph, roots = traced(run, n_columns, dtype)
-        fuse(graph, roots)
-        branch_out(graph, roots)
-        self.n_results = len(roots)
-        # Every value is in its register already: LLVM's own passes over the text gain nothing, and
-        # turn conditions into bits.
+    def __init__(
+        self, run: Scenario, n_columns: int, n_results: int, dtype: np.dtype, identity: str
+    ) -> None:
+        began = time.perf_counter()
+        if dtype not in (np.float32, np.float64):
+            raise Untranslatable(f"numbers of type {dtype}")
+        self.dtype, self.n_results = dtype, n_results
+        self.lanes = VECTORS * register_bytes() // dtype.itemsize
+
+        def text() -> str:
+            graph, roots = traced(run, n_columns, dtype)
+            fuse(graph, roots)
+            branch_out(graph, roots)
+            return kernel(roots, n_columns, dtype, self.lanes)
+
         machine = this_processor()
-        module = llvm.parse_assembly(kernel(roots, n_columns, dtype, self.lanes))
-        module.triple, module.data_layout = machine.triple, str(machine.target_data)
-        self._code = llvm.create_mcjit_compiler(module, machine)  # lives as long as the function
-        self._code.finalize_object()
+        code = kept(f"{identity} {n_columns} {dtype} {self.lanes}", machine, text)
         real = ctypes.c_float if dtype == np.float32 else ctypes.c_double
-        types = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64, ctypes.c_int64]
-        self._run = ctypes.CFUNCTYPE(None, *types, real)(self._code.get_function_address("run"))
+        self._function = Function(machine, code, real)
+        jax.monitoring.record_event_duration_secs(COMPILED, time.perf_counter() - began)
 
     def __call__(self, columns: np.ndarray, dt: Any) -> np.ndarray:
         """Results [n_results, n] for columns [n_columns, n], n a multiple of `lanes`.
@@ -89,24 +98,5 @@ class Kernel:
         n = columns.shape[1]
         assert n % self.lanes == 0 and columns.flags.c_contiguous and columns.dtype == self.dtype
         found = np.empty((self.n_results, n), self.dtype)
-        self._run(columns.ctypes.data, found.ctypes.data, n, 0, n, dt)
+        self._function.call(columns.ctypes.data, found.ctypes.data, n, 0, n, dt)
         return found
-
-
-def lanes(dtype: np.dtype) -> int:
-    """Scenarios that share the instructions of this processor."""
-    features = llvm.get_host_cpu_features()
-    register = 64 if features.get("avx512f") else 32 if features.get("avx") else 16
-    return VECTORS * register // dtype.itemsize
-
-
-def this_processor() -> llvm.TargetMachine:
-    """What LLVM compiles for."""
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
-    return llvm.Target.from_default_triple().create_target_machine(
-        cpu=llvm.get_host_cpu_name(),
-        features=llvm.get_host_cpu_features().flatten(),
-        opt=3,
-        jit=True,
-    )

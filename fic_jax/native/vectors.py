@@ -47,8 +47,6 @@ class _Writer:
     """Builder, types, and the values of the nodes computed so far."""
 
     def __init__(self, roots: Sequence[Node], dtype: np.dtype, lanes: int) -> None:
-        if dtype not in (np.float32, np.float64):
-            raise Untranslatable(f"numbers of type {dtype}")
         self.bits, self.lanes = 8 * dtype.itemsize, lanes
         self.real = ir.FloatType() if self.bits == 32 else ir.DoubleType()
         self.int = ir.IntType(self.bits)

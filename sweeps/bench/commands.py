@@ -28,7 +28,7 @@ Td = {{ lin = [1.0, 20.0], n = {last} }}
 def run(plan: Plan, tell: Tell) -> Table:
     """`fic-sweep run` against the bare engine on the same scenarios, and its memory.
 
-    What is compared is the whole process less compiling (tracing, lowering and XLA, as JAX tells
+    What is compared is the whole process less compiling (tracing, LLVM or XLA, as told
     them); the second ratio also takes off the start (interpreter and imports).
     """
     wanted = plan.scenarios or (CELLS_FULL if plan.full else CELLS)

@@ -12,7 +12,7 @@ from fic_jax.engine import cores
 from sweeps.cache import cpuinfo, extensions
 from sweeps.provenance import revision
 
-PACKAGES = ("jax", "jaxlib", "numpy", "numba", "diffrax")
+PACKAGES = ("jax", "jaxlib", "llvmlite", "numpy", "numba", "diffrax")
 EXTENSIONS = {"avx2": "avx2", "avx512f": "avx512", "asimd": "neon", "neon": "neon"}  # as told: name
 
 

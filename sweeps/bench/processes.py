@@ -92,7 +92,7 @@ class Whole:
     seconds: float
     peak_bytes: int  # the most memory it had at once
     start_s: float = 0.0  # interpreter and imports
-    compile_s: float = 0.0  # tracing, lowering and XLA
+    compile_s: float = 0.0  # tracing, LLVM or XLA
 
 
 def whole(folder: Path, *arguments: str, cache: Path, report: bool = False) -> Whole:

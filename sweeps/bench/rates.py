@@ -28,6 +28,7 @@ PEERS = (
     Peer("numba", "numba twin", at_least=2.0),
     Peer("float64", "engine, float64", share=2, at_most=1 / 0.45),
     Peer("events", "engine, rk4_events", share=2, at_most=3.0),
+    Peer("xla", "engine by XLA alone", share=2),
     Peer("plain", "plain jit(vmap(scan))", share=4, at_least=3.5),
     Peer("diffrax", "diffrax twin", share=8, at_least=8.0),
     Peer("estimate", "engine, error_estimate", share=8),

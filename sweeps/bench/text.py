@@ -103,7 +103,7 @@ def _run(table: Table) -> Section:
         "bare engine, s": "engine_s",
         "fic-sweep run, whole process, s": "run_s",
         "  of it starting: interpreter, imports": "start_s",
-        "  of it compiling: tracing, lowering, XLA": "compile_s",
+        "  of it compiling": "compile_s",
         "engine / (whole less compiling)": "engine_over_run",
         "engine / (whole less compiling and starting)": "engine_over_run_less_start",
     }

@@ -43,7 +43,7 @@ def _with_report(report: Path, began: float) -> None:
     spans: list[tuple[float, float]] = []
 
     def listen(event: str, duration_secs: float, **_: str | int) -> None:
-        if event.startswith("/jax/core/compile/"):
+        if event.startswith(("/jax/core/compile/", "/fic_jax/compile/")):
             now = time.monotonic()
             spans.append((now - duration_secs, now))
 
