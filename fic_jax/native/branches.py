@@ -10,7 +10,17 @@ Physics is written without branches, so that it can be batched and differentiate
 
 from collections.abc import Collection, Iterable, Sequence
 
-from fic_jax.native.demands import ALWAYS, NEVER, Demand, demands, either, implies, met, without
+from fic_jax.native.demands import (
+    ALWAYS,
+    NEVER,
+    Demand,
+    demands,
+    either,
+    implies,
+    met,
+    uses,
+    without,
+)
 from fic_jax.native.graph import Branch, Graph, Loop, Node, Scope, live
 
 # Instructions, about; what isn't here is one.
@@ -41,14 +51,28 @@ def keep(graph: Graph, latch: Node, everything: list[Node], roots: Sequence[Node
     loop, costly = latch.scope, alone(latch, everything)
     if not (costly and isinstance(loop, Loop)):
         return everything
+    inside = with_feeders(costly, latch, everything)
+    while inside:
+        inside = _keep(graph, latch, inside, loop, roots)
+    return live(roots)
+
+
+def _keep(
+    graph: Graph, latch: Node, inside: list[Node], loop: Loop, roots: Sequence[Node]
+) -> list[Node]:
+    """`keep` for these nodes; returns those that have to be kept apart from them."""
+    everything = live(roots)
     users = users_of(everything)
-    inside = with_feeders(costly, latch, everything, users)
     nodes, wanted = demands(everything, loop)
     outs = [n for n in inside if not users[n].issubset(inside)]
     demand = without(either(*(wanted[n] for n in outs)), dependants(inside, nodes))
+    apart = parted(graph, inside, everything, loop) if demand == ALWAYS else []
+    if apart:
+        alive = set(live(roots))
+        return _keep(graph, latch, [n for n in inside if n in alive], loop, roots) or apart
     # What is kept at first is right for a latch of 0.
     zero = graph.constant(ZERO[latch.kind], latch.kind)
-    key, firsts = carried(graph, loop, zero), replayed(graph, inside, latch, zero)
+    key, firsts = carried(graph, loop, zero), replayed(graph, inside, {latch: zero})
     kept = [key, *(carried(graph, loop, firsts[n]) for n in outs)]
     changed = graph.node("differs", (latch, key), "b")
     if demand != ALWAYS:
@@ -57,7 +81,39 @@ def keep(graph: Graph, latch: Node, everything: list[Node], roots: Sequence[Node
     branch = Branch(loop, [same, *outs], condition=changed, otherwise=list(kept))
     for phi, result in zip(kept, move(graph, [*inside, same], branch, everything), strict=True):
         loop.outs[phi.value] = result
-    return live(roots)
+    return []
+
+
+def parted(
+    graph: Graph, inside: Sequence[Node], everything: Sequence[Node], loop: Loop
+) -> list[Node]:
+    """A copy of some nodes for those users who want them under conditions known later.
+
+    Conditions that themselves need the nodes can't tell when to compute them. Where that makes
+    them needed more often than without such users, these get nodes of their own. The copy is empty
+    where that gains nothing.
+    """
+    nodes, wanted = demands(everything, loop)
+    later = dependants(inside, nodes)
+    at_once, late = NEVER, []
+    for node in nodes:
+        if node in inside:
+            continue
+        part = either(NEVER, *(d for used, d in uses(node, wanted[node]) if used in inside))
+        if any(condition in later for product in part for condition, _ in product):
+            late.append((node, part))
+        else:
+            at_once = either(at_once, part)
+    if at_once == NEVER or implies(
+        without(either(at_once, *(part for _, part in late)), later), at_once
+    ):
+        return []
+    graph.forget(inside)  # or the copy would be the same nodes
+    copies = replayed(graph, inside, {})
+    for node, _ in late:
+        node.args = tuple(copies.get(a, a) for a in node.args)
+    graph.forget(node for node, _ in late)
+    return [copies[n] for n in inside]
 
 
 def alone(latch: Node, nodes: Iterable[Node]) -> set[Node]:
@@ -73,11 +129,9 @@ def alone(latch: Node, nodes: Iterable[Node]) -> set[Node]:
     return costly
 
 
-def with_feeders(
-    costly: Collection[Node], latch: Node, nodes: Sequence[Node], users: Users
-) -> list[Node]:
+def with_feeders(costly: Collection[Node], latch: Node, nodes: Sequence[Node]) -> list[Node]:
     """The costly nodes and what in the latch's loop they alone need."""
-    inside = set(costly)
+    inside, users = set(costly), users_of(nodes)
     for node in reversed(nodes):  # users first
         feeds = users[node] and users[node].issubset(inside)
         if feeds and node.scope is latch.scope and node.args and node is not latch:
@@ -94,9 +148,9 @@ def carried(graph: Graph, loop: Loop, init: Node) -> Node:
     return phi
 
 
-def replayed(graph: Graph, nodes: Iterable[Node], old: Node, new: Node) -> dict[Node, Node]:
-    """The same operations with `new` in place of `old`."""
-    known = {old: new}
+def replayed(graph: Graph, nodes: Iterable[Node], instead: dict[Node, Node]) -> dict[Node, Node]:
+    """The same operations, on other operands where there are some `instead`."""
+    known = dict(instead)
     for node in nodes:
         args = [known.get(a, a) for a in node.args]
         known[node] = graph.node(node.op, args, node.kind, node.value)
@@ -107,10 +161,14 @@ def jump_over(graph: Graph, loop: Loop, roots: Sequence[Node]) -> bool:
     """Move the costliest nodes of one demand in a loop into a branch, if there are any left."""
     everything = live(roots)
     nodes, wanted = demands(everything, loop)
-    for scope, demand in candidates(nodes, wanted):
-        of_demand = [n for n in nodes if n.scope is scope and implies(wanted[n], demand)]
-        inside = convex(of_demand, nodes)
-        known = without(demand, dependants(inside, nodes))
+    for scope, demand, own in candidates(nodes, wanted):
+        there = [n for n in nodes if n.scope is scope]
+        hidden = {n for n in nodes if not visible(n, scope)}
+        inside = convex([n for n in there if implies(wanted[n], demand)], nodes)
+        known = without(demand, hidden | dependants(inside, nodes))
+        if known != demand:  # others are better off with what is known of their own demand
+            inside = convex([n for n in there if wanted[n] in own], nodes)
+            known = without(demand, hidden | dependants(inside, nodes))
         if implies(met_in(scope), known):
             continue
         condition = met(graph, known)
@@ -127,26 +185,40 @@ def jump_over(graph: Graph, loop: Loop, roots: Sequence[Node]) -> bool:
     return False
 
 
-def candidates(nodes: Sequence[Node], wanted: dict[Node, Demand]) -> list[tuple[Scope, Demand]]:
-    """Demands worth a branch, the costliest first; one within another has its own share."""
+def candidates(
+    nodes: Sequence[Node], wanted: dict[Node, Demand]
+) -> list[tuple[Scope, Demand, list[Demand]]]:
+    """Demands worth a branch, the costliest first, each with those within that it is for.
+
+    One within another is worth a branch of its own if what it saves is, or if one operation is.
+    """
     costs: dict[Scope, dict[Demand, int]] = {}
+    dear: set[Demand] = set()
     for node in nodes:
         if node.scope and not node.uniform and wanted[node] not in (ALWAYS, NEVER):
             of_scope = costs.setdefault(node.scope, {})
             of_scope[wanted[node]] = of_scope.get(wanted[node], 0) + cost(node)
-    found: list[tuple[int, int, Scope, Demand]] = []
+            if cost(node) >= COSTLY:
+                dear.add(wanted[node])
+    found: list[tuple[int, int, Scope, Demand, list[Demand]]] = []
     for scope, there in costs.items():
         within = {d: [other for other in there if implies(other, d)] for d in there}
         whole = {d: sum(there[other] for other in within[d]) for d in there}
         claimed: set[Demand] = set()
         for demand in sorted(there, key=lambda d: whole[d]):
             own = [d for d in within[demand] if d not in claimed]
-            saved = sum(there[d] for d in own)
-            least = COSTLY if max(map(there.__getitem__, own), default=0) >= COSTLY else BULK
-            if saved >= least and not implies(met_in(scope), demand):
+            least = BULK if dear.isdisjoint(own) else COSTLY
+            if sum(there[d] for d in own) >= least and not implies(met_in(scope), demand):
                 claimed.update(own)
-                found.append((-whole[demand], len(found), scope, demand))
-    return [(scope, demand) for _, _, scope, demand in sorted(found, key=lambda f: f[:2])]
+                found.append((-whole[demand], len(found), scope, demand, own))
+    return [(scope, d, own) for _, _, scope, d, own in sorted(found, key=lambda f: f[:2])]
+
+
+def visible(node: Node, scope: Scope | None) -> bool:
+    """Whether a node is computed in a scope or around it."""
+    while scope and scope is not node.scope:
+        scope = scope.outer
+    return scope is node.scope
 
 
 def met_in(scope: Scope | None) -> Demand:

@@ -24,16 +24,21 @@ def demands(everything: Iterable[Node], loop: Loop) -> tuple[list[Node], dict[No
             made = node.of.makes(node.value) if node.of else ()
             wanted |= dict.fromkeys(wanted.keys() & {*node.args, *made}, ALWAYS)
     for node in reversed(nodes):
-        parts = [(arg, wanted[node]) for arg in node.args]
-        if isinstance(node.of, Branch):
-            parts = [(made, wanted[node]) for made in node.of.makes(node.value)]
-        elif node.op == "select_n":
-            for i in (1, 2):
-                parts[i] = (node.args[i], both(wanted[node], when(node.args[0], i == 2)))
-        for used, part in parts:
+        for used, part in uses(node, wanted[node]):
             if used in wanted:
                 wanted[used] = either(wanted[used], part)
     return nodes, wanted
+
+
+def uses(node: Node, wanted: Demand) -> list[tuple[Node, Demand]]:
+    """What a node that is wanted looks at, and when."""
+    if isinstance(node.of, Branch):
+        return [(made, wanted) for made in node.of.makes(node.value)]
+    if node.op != "select_n":
+        return [(arg, wanted) for arg in node.args]
+    condition, no, yes = node.args
+    taken = [(arg, both(wanted, when(condition, arg is yes))) for arg in (no, yes)]
+    return [(condition, wanted), *taken]
 
 
 def turn(node: Node) -> Loop | None:

@@ -131,8 +131,11 @@ class Graph:
         return self._known[key]
 
     def forget(self, nodes: Iterable[Node]) -> None:
-        """Never give these to anybody else."""
+        """Never give these to anybody else, nor what depends on them."""
         gone = set(nodes)
+        for node in sorted(self._known.values(), key=lambda node: node.id):
+            if not gone.isdisjoint(node.args):
+                gone.add(node)
         self._known = {key: node for key, node in self._known.items() if node not in gone}
 
     def place(
