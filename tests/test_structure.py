@@ -30,7 +30,11 @@ ARROWS = {
     "fic_jax.blocks": {"fic_jax.kernel"},
     "fic_jax.native.graph": set(),
     "fic_jax.native.demands": {"fic_jax.native.graph"},
-    "fic_jax.native.branches": {f"fic_jax.native.{n}" for n in ("graph", "demands")},
+    "fic_jax.native.moves": {"fic_jax.native.graph"},
+    "fic_jax.native.latched": {f"fic_jax.native.{n}" for n in ("graph", "demands", "moves")},
+    "fic_jax.native.branches": {
+        f"fic_jax.native.{n}" for n in ("graph", "demands", "moves", "latched")
+    },
     "fic_jax.native.vectors": {"fic_jax.native.graph"},
     "fic_jax.native.code": {"fic_jax"},  # where it lies
     "fic_jax.native": {f"fic_jax.native.{n}" for n in ("graph", "branches", "vectors", "code")},
