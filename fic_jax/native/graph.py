@@ -187,21 +187,19 @@ class Graph:
         if name in CALLS:
             return self.inlined(params.get("jaxpr") or params["call_jaxpr"], args, scope)
         if name == "scan":
-            return self._looped(params, args, scope)
+            return self._looped(eqn, args, scope)
         kind = self.kind(eqn.outvars[0].aval.dtype)
         if name == "convert_element_type":
             return args if args[0].kind == kind else [self.node("convert", args, kind)]
         return [self.node(name, args, kind, params.get("y"))]
 
-    def _looped(self, params: Any, args: list[Node], outer: Scope | None) -> list[Node]:
+    def _looped(self, eqn: Any, args: list[Node], outer: Scope | None) -> list[Node]:
         """The results of a `fori_loop` of known length, which JAX traces as a scan."""
-        body, n = params["jaxpr"], params["num_carry"]
-        if (
-            len(args) != params["num_consts"] + n
-            or len(body.out_avals) != n
-            or not params["length"]
-        ):
+        params, n = eqn.params, len(eqn.outvars)
+        if any(atom.aval.ndim for atom in (*eqn.invars, *eqn.outvars)):
             raise Untranslatable("a scan over arrays")
+        if not 0 < params["length"] < 2**31:
+            raise Untranslatable(f"a loop of {params['length']} turns")
         consts, inits = args[:-n], args[-n:]
         assumed: list[bool] | None = None
         found = [init.uniform for init in inits]
@@ -211,7 +209,7 @@ class Graph:
                 self.place("phi", init.kind, i, uniform=same, scope=loop, of=loop)
                 for i, (init, same) in enumerate(zip(inits, assumed, strict=True))
             ]
-            loop.outs = self.inlined(body, [*consts, *loop.phis], loop)
+            loop.outs = self.inlined(params["jaxpr"], [*consts, *loop.phis], loop)
             found = [u and out.uniform for u, out in zip(assumed, loop.outs, strict=True)]
         return [
             self.place("result", phi.kind, i, uniform=phi.uniform, scope=outer, of=loop)
