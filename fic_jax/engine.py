@@ -27,6 +27,10 @@ ARRANGEMENT = {"cpu": "native", "gpu": "kernel"}
 # longer to compile; a located step is long enough by itself.
 UNROLL = {"rk4": 2, "rk4_events": 1}
 
+# Vector registers that a value takes in a native kernel: while one of two instructions waits the
+# other works, but what is long by itself no longer fits in the caches of instructions then.
+REGISTERS = {"rk4": 2, "rk4_events": 1}
+
 # What is told where an arrangement can't be built.
 SLOWER = {
     "native": "no vector kernel {where}: compiled by XLA instead, expect half of the speed; "
@@ -180,10 +184,16 @@ def _compiled(
             from fic_jax.native import in_vectors  # llvmlite may not be there
 
             identity = f"{model} {n_steps} {error_estimate}"
-            n = threads(devices)
-            return Program(
-                in_vectors(scenario, len(QUANTITIES), result, dtype, n, identity), result
+            fill = in_vectors(
+                scenario,
+                len(QUANTITIES),
+                result,
+                dtype,
+                registers=1 if error_estimate else REGISTERS[model.integrator],
+                threads=threads(devices),
+                identity=identity,
             )
+            return Program(fill, result)
         fill = in_blocks(arrangement, scenario, len(QUANTITIES), result, dtype, devices)
         return Program(fill, result)
 

@@ -39,7 +39,7 @@ def nothing_kept():
 def computed(run, dtype, *columns, dt=0.25):
     """Results of `run` for columns, padded to whole vectors."""
     n_results = len(jax.tree.leaves(jax.eval_shape(run, *shapes(len(columns), dtype))))
-    made = Kernel(run, len(columns), n_results, dtype, "a test's own")
+    made = Kernel(run, len(columns), n_results, dtype, 1, "a test's own")
     n = len(columns[0])
     whole = np.zeros((len(columns), -(-n // made.lanes) * made.lanes), dtype)
     for row, column in zip(whole, columns, strict=True):
@@ -203,9 +203,9 @@ def test_what_has_no_translation_is_named(run, told):
 
 def test_numbers_of_other_types_have_none():
     with pytest.raises(Untranslatable, match="numbers of type float16"):
-        Kernel(lambda c, dt: [c[0] + dt], 1, 1, np.dtype(np.float16), "")
+        Kernel(lambda c, dt: [c[0] + dt], 1, 1, np.dtype(np.float16), 1, "")
     with pytest.raises(Untranslatable, match="float64 among float32"):
-        Kernel(lambda c, dt: [c[0].astype(float)], 1, 1, np.dtype(np.float32), "")
+        Kernel(lambda c, dt: [c[0].astype(float)], 1, 1, np.dtype(np.float32), 1, "")
 
 
 # ---- The law -------------------------------------------------------------------------------------

@@ -19,7 +19,6 @@ from fic_jax.native.code import Function, kept, register_bytes, this_processor
 from fic_jax.native.graph import Untranslatable, fuse, traced
 from fic_jax.native.vectors import kernel
 
-VECTORS = 2  # registers that make up one value: one instruction's latency hides the other's
 PART = 4096  # scenarios that a thread takes at a time: some hundredths of a second at 1,000 steps
 COMPILED = "/fic_jax/compile/native"  # the event that tells listeners of JAX how long it took
 
@@ -27,14 +26,21 @@ Scenario = Callable[[list[jax.Array], jax.Array], Any]  # quantities, dt -> resu
 
 
 def in_vectors(
-    run: Scenario, n_columns: int, result: Any, dtype: np.dtype, threads: int, identity: str
+    run: Scenario,
+    n_columns: int,
+    result: Any,
+    dtype: np.dtype,
+    *,
+    registers: int,
+    threads: int,
+    identity: str,
 ) -> Callable[[Sequence[np.ndarray], np.ndarray, Any], None]:
     """What writes the results of `run(column, dt)`, of types `result`, for N scenarios to `out`.
 
-    `identity` names `run` among all that these sources can make. Raises Untranslatable if it uses
-    what there is no instruction for here.
+    A value takes that many `registers`; `identity` names `run` among all that these sources can
+    make. Raises Untranslatable if it uses what there is no instruction for here.
     """
-    compiled = Kernel(run, n_columns, len(jax.tree.leaves(result)), dtype, identity)
+    compiled = Kernel(run, n_columns, len(jax.tree.leaves(result)), dtype, registers, identity)
 
     def fill(leaves: Sequence[np.ndarray], dt: np.ndarray, out: Any) -> None:
         n = len(leaves[0])
@@ -70,13 +76,19 @@ class Kernel:
     """`run(column, dt)` compiled for vectors of `lanes` scenarios; threads may share it."""
 
     def __init__(
-        self, run: Scenario, n_columns: int, n_results: int, dtype: np.dtype, identity: str
+        self,
+        run: Scenario,
+        n_columns: int,
+        n_results: int,
+        dtype: np.dtype,
+        registers: int,
+        identity: str,
     ) -> None:
         began = time.perf_counter()
         if dtype not in (np.float32, np.float64):
             raise Untranslatable(f"numbers of type {dtype}")
         self.dtype, self.n_results = dtype, n_results
-        self.lanes = VECTORS * register_bytes() // dtype.itemsize
+        self.lanes = registers * register_bytes() // dtype.itemsize
 
         def text() -> str:
             graph, roots = traced(run, n_columns, dtype)
