@@ -1,8 +1,11 @@
 """The kernel of a CPU: its operations against numpy's, its branches against none, its fall-back."""
 
+import os
+import subprocess
 import sys
 import warnings
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +18,10 @@ from fic_jax.native import Kernel, branches
 from fic_jax.native.graph import Branch, Loop, Untranslatable, fuse, live, traced
 from fic_jax.native.vectors import kernel
 from fic_jax.params import QUANTITIES
+from tests.programs import N_COLUMNS, N_RESULTS, program
 
+ROOT = Path(__file__).parent.parent
+PROGRAMS = 1000 if os.environ.get("FIC_SWEEP_TORTURE") else 40
 DTYPES = [np.dtype(np.float32), np.dtype(np.float64)]
 ODD = [0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 3.0, 7.25, 1e-30, -1e-30, 1e30, np.inf, -np.inf, np.nan]
 # every option at least once
@@ -91,6 +97,9 @@ NUMBERS = {
     "integers": lambda x, y: jnp.maximum(
         (x > 0).astype(jnp.int32), 3 * (y > 0).astype(jnp.int32)
     ).astype(x.dtype),
+    "bools": lambda x, y: ((x > 0) > (y > 0)).astype(x.dtype),
+    "no bools": lambda x, y: jnp.minimum(x > 0, y > 0).astype(x.dtype),
+    "some": lambda x, y: jnp.where(x.astype(bool), x, 7.0),
     "clipped": lambda x, y: jnp.clip(x, -2.0, 2.0),
 }
 
@@ -112,19 +121,26 @@ def test_whole_numbers_and_conditions_come_as_integers_of_the_numbers_width(dtyp
     found = computed(lambda c, dt: [c[0].astype(jnp.int32), c[0] > 1.0], dtype, x)
     whole = found.view(f"i{dtype.itemsize}")
     np.testing.assert_array_equal(whole[0], [-2, -1, 0, 1, 2, 7])
+    beyond = np.array([np.nan, 1e30, -1e30], dtype)
+    (ends,) = computed(lambda c, dt: [c[0].astype(jnp.int32)], dtype, beyond)
+    limits = np.iinfo(f"i{dtype.itemsize}")
+    np.testing.assert_array_equal(ends.view(f"i{dtype.itemsize}"), [0, limits.max, limits.min])
     np.testing.assert_array_equal(whole[1].astype(bool), x > 1.0)
 
 
-@pytest.mark.parametrize(("dtype", "least", "most"), [(DTYPES[0], -87, 88), (DTYPES[1], -708, 709)])
+@pytest.mark.parametrize(
+    ("dtype", "least", "most"), [(DTYPES[0], -87, 88.72), (DTYPES[1], -708, 709.78)]
+)
 def test_exponentials_are_right_to_two_units_of_the_last_place(dtype, least, most):
     x = np.random.default_rng(0).uniform(least, most, 100_000).astype(dtype)
     (got,) = computed(lambda c, dt: [jnp.exp(c[0])], dtype, x)
     expected = np.exp(x.astype(np.longdouble))
     error = np.abs(got - expected) / np.spacing(expected.astype(dtype))
     assert error.max() < 2.0
-    ends = np.array([0.0, -0.0, -1e4, 1e4, -np.inf, np.inf, np.nan], dtype)
+    ends = np.array([0.0, -0.0, -1e4, 1e4, -np.inf, np.inf, np.nan, np.nan], dtype)
+    ends.view(f"i{dtype.itemsize}")[-1] += 1  # a NaN with something in its last bits
     (got,) = computed(lambda c, dt: [jnp.exp(c[0])], dtype, ends)
-    np.testing.assert_array_equal(got, [1.0, 1.0, 0.0, np.inf, 0.0, np.inf, np.nan])
+    np.testing.assert_array_equal(got, [1.0, 1.0, 0.0, np.inf, 0.0, np.inf, np.nan, np.nan])
 
 
 LOOPS = {
@@ -191,6 +207,9 @@ def test_a_product_and_the_sum_it_is_only_used_in_are_rounded_once():
     [
         (lambda c, dt: [jnp.sin(c[0])], "the operation sin"),
         (lambda c, dt: [c[0] ** 5], "the power 5"),
+        (lambda c, dt: [jnp.sign((c[0] > 0).astype(jnp.int32))], "the operation sign on"),
+        (lambda c, dt: [jax.lax.select_n((c[0] > 0).astype(jnp.int32), *c, *c)], "select_n"),
+        (lambda c, dt: [c[0].astype(jnp.int8)], "int8 among"),
         (lambda c, dt: [jax.lax.scan(lambda s, x: (s, s), c[0], length=3)[0]], "over arrays"),
         (lambda c, dt: [jnp.stack(c).sum()], "the operation|array"),
         (lambda c, dt: [jax.lax.while_loop(lambda s: s < 1, lambda s: s + 1, c[0])], "while"),
@@ -206,6 +225,109 @@ def test_numbers_of_other_types_have_none():
         Kernel(lambda c, dt: [c[0] + dt], 1, 1, np.dtype(np.float16), 1, "")
     with pytest.raises(Untranslatable, match="float64 among float32"):
         Kernel(lambda c, dt: [c[0].astype(float)], 1, 1, np.dtype(np.float32), 1, "")
+
+
+# ---- Any program ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("first", range(0, PROGRAMS, 10))
+def test_branches_change_no_bit_of_any_program(first, monkeypatch):
+    """Two scenarios to a vector, so that branches are often jumped over."""
+    monkeypatch.setattr(native, "register_bytes", lambda: 16)
+    rng = np.random.default_rng(first)
+    columns = rng.normal(scale=2.0, size=(N_COLUMNS, 128))
+    columns[rng.random(columns.shape) < 0.2] = rng.choice(ODD)
+    jump = native.branch_out
+    for seed in range(first, first + 10):
+        found = []
+        for branched in (jump, lambda graph, roots: None):
+            monkeypatch.setattr(native, "branch_out", branched)
+            made = Kernel(program(seed), N_COLUMNS, N_RESULTS, np.dtype(float), 1, "")
+            found.append(made(columns, 0.25))
+        assert_same(*found)
+
+
+# What once went wrong: equal arms, a feeder with other users, copies that nobody uses, conditions
+# that are never met, a way from one exponential to another through a loop.
+ONCE = {
+    "equal arms": lambda c, dt: [
+        jax.lax.fori_loop(0, 2, lambda _, s: jnp.where(c[0] > 0, jnp.exp(s), jnp.exp(s)), c[1])
+    ],
+    "feeder": lambda c, dt: jax.lax.fori_loop(0, 9, fed, (c[0], c[1])),
+    "never": lambda c, dt: jax.lax.fori_loop(0, 5, lambda _, s: nested(s, c[0] > dt), (c[0], c[1])),
+    "through a loop": lambda c, dt: [
+        jax.lax.fori_loop(0, 3, lambda _, s: through(s, c[0] > 0, c[1]), c[0])
+    ],
+}
+
+
+def fed(_, s):
+    latch = jnp.where(s[1] > 0, s[1], s[0])
+    y = -jnp.abs(latch)
+    return latch, jnp.exp(y) * y - s[1]
+
+
+def nested(s, condition):
+    latch = jnp.where(s[1] > 0, s[1], s[0])
+    inner = jnp.where(condition, s[1] - 1, jnp.exp(latch))
+    return latch, jnp.where(condition, inner, s[1])
+
+
+def through(s, condition, start):
+    p = jnp.where(condition, jnp.exp(s), start)
+    k = jax.lax.fori_loop(0, 5, lambda _, n: n * 0.5 + p, start)
+    return jnp.where(condition, jnp.exp(k), s)
+
+
+@pytest.mark.parametrize("name", ONCE)
+def test_branches_change_no_bit_of_what_once_went_wrong(name, monkeypatch):
+    x, y = np.linspace(-3.0, 3.0, 48), np.linspace(0.5, -1.5, 48)
+    found = [computed(ONCE[name], np.dtype(float), x, y)]
+    monkeypatch.setattr(native, "branch_out", lambda graph, roots: None)
+    found.append(computed(ONCE[name], np.dtype(float), x, y))
+    assert_same(*found)
+
+
+WRITTEN = """
+import hashlib, sys
+import jax
+import numpy as np
+from fic_jax.native.branches import branch_out
+from fic_jax.native.graph import fuse, traced
+from fic_jax.native.vectors import kernel
+from tests.programs import N_COLUMNS, program
+jax.config.update("jax_enable_x64", True)
+told = hashlib.sha256()
+for seed in range(12):
+    graph, roots = traced(program(seed), N_COLUMNS, np.dtype(float))
+    fuse(graph, roots)
+    branch_out(graph, roots)
+    told.update(kernel(roots, N_COLUMNS, np.dtype(float), 4).encode())
+sys.stdout.write(told.hexdigest())
+"""
+
+
+def test_every_process_writes_the_same():
+    told = {
+        subprocess.run(
+            [sys.executable, "-c", f"x = [object() for _ in range({n})]\n{WRITTEN}"],
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd=ROOT,
+        ).stdout
+        for n in (1, 1000)
+    }
+    assert len(told) == 1
+
+
+def test_sources_that_changed_since_are_not_kept(tmp_path, monkeypatch):
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
+    computed(lambda c, dt: [c[0] + dt], np.dtype(float), np.ones(4))
+    assert len(list(tmp_path.iterdir())) == 1
+    monkeypatch.setattr(native.code, "LOADED", 0.0)
+    computed(lambda c, dt: [c[0] - dt], np.dtype(float), np.ones(4))
+    assert len(list(tmp_path.iterdir())) == 1
 
 
 # ---- The law -------------------------------------------------------------------------------------
@@ -241,8 +363,10 @@ def arranged(monkeypatch):
 
 
 def assert_same(a, b):
+    """Bit for bit, the sign of zero too, but for that of NaN."""
     for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
         np.testing.assert_array_equal(x, y)
+        np.testing.assert_array_equal(np.signbit(x[x == 0]), np.signbit(y[x == 0]))
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ ARROWS = {
         f"fic_jax.native.{n}" for n in ("graph", "demands", "moves", "latched")
     },
     "fic_jax.native.vectors": {"fic_jax.native.graph"},
-    "fic_jax.native.code": {"fic_jax"},  # where it lies
+    "fic_jax.native.code": {"fic_jax", "fic_jax._version"},  # where it lies
     "fic_jax.native": {f"fic_jax.native.{n}" for n in ("graph", "branches", "vectors", "code")},
     "fic_jax.engine": {
         f"fic_jax.{n}" for n in ("params", "metrics", "accuracy", "blocks", "native")

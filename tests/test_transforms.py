@@ -129,6 +129,13 @@ def test_any_length_of_vectors_gives_the_same_bits(arranged, registers, part, mo
     assert_same(fic_jax.sweep(batch, dt=DT, n_steps=60), chosen)
 
 
+@pytest.mark.parametrize("arrangement", ["native", "scan"])
+def test_no_scenarios_have_no_metrics(arranged, arrangement):
+    arranged(arrangement)
+    metrics = fic_jax.sweep(Params(K0=np.zeros(0)), dt=DT, n_steps=3)
+    assert {leaf.shape for leaf in jax.tree.leaves(metrics)} == {(0,)}
+
+
 @pytest.mark.parametrize("wrong", [0, -1, 1.5])
 def test_substeps_are_counted(wrong):
     with pytest.raises(ParamsError, match="`substeps` must be a whole number, at least 1"):

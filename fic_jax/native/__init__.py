@@ -44,7 +44,7 @@ def in_vectors(
 
     def fill(leaves: Sequence[np.ndarray], dt: np.ndarray, out: Any) -> None:
         n = len(leaves[0])
-        size = min(PART, _whole(-(-n // threads), compiled.lanes))
+        size = min(PART, _whole(-(-max(n, 1) // threads), compiled.lanes))
 
         def part(start: int) -> None:
             stop = min(start + size, n)

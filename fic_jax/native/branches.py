@@ -11,12 +11,11 @@ Physics is written without branches, so that it can be batched and differentiate
 from collections.abc import Sequence
 
 from fic_jax.native.demands import ALWAYS, NEVER, Demand, demands, implies, met, without
-from fic_jax.native.graph import Branch, Graph, Loop, Node, Scope, live
+from fic_jax.native.graph import ZERO, Branch, Graph, Loop, Node, Scope, live
 from fic_jax.native.latched import keep
 from fic_jax.native.moves import (
     BULK,
     COSTLY,
-    ZERO,
     ancestors,
     convex,
     cost,
@@ -45,11 +44,11 @@ def jump_over(graph: Graph, loop: Loop, roots: Sequence[Node]) -> bool:
     for scope, demand, own in candidates(nodes, wanted):
         there = [n for n in nodes if n.scope is scope]
         hidden = {n for n in nodes if not visible(n, scope)}
-        inside = convex([n for n in there if implies(wanted[n], demand)], nodes)
-        known = without(demand, hidden | dependants(inside, nodes))
+        inside = convex([n for n in there if implies(wanted[n], demand)], everything)
+        known = without(demand, hidden | dependants(inside, everything))
         if known != demand:  # others are better off with what is known of their own demand
-            inside = convex([n for n in there if wanted[n] in own], nodes)
-            known = without(demand, hidden | dependants(inside, nodes))
+            inside = convex([n for n in there if wanted[n] in own], everything)
+            known = without(demand, hidden | dependants(inside, everything))
         if implies(met_in(scope), known):
             continue
         condition = met(graph, known)

@@ -12,6 +12,7 @@ import llvmlite
 import llvmlite.binding as llvm
 
 import fic_jax
+from fic_jax._version import LOADED
 
 
 def this_processor() -> llvm.TargetMachine:
@@ -62,9 +63,11 @@ def kept(identity: str, machine: llvm.TargetMachine, make: Callable[[], str]) ->
     `identity` names what is written, given the sources of this package and the versions of others.
     """
     folder = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
-    if not folder:
+    sources = _sources()
+    if not (folder and sources):
         return compiled(machine, make())
-    versions = f"{_sources()} jax {jax.__version__} llvmlite {llvmlite.__version__}"
+    versions = f"{sources} jax {jax.__version__} llvmlite {llvmlite.__version__}"
+    versions += f" LLVM {llvm.llvm_version_info}"
     processor = f"{llvm.get_host_cpu_name()} {llvm.get_host_cpu_features().flatten()}"
     name = hashlib.sha256(f"{identity} {versions} {machine.triple} {processor}".encode())
     path = Path(folder) / f"fic_jax-{name.hexdigest()[:32]}.o"
@@ -84,8 +87,11 @@ def kept(identity: str, machine: llvm.TargetMachine, make: Callable[[], str]) ->
     return code
 
 
-def _sources() -> str:
-    digest = hashlib.sha256()
-    for path in sorted(Path(fic_jax.__file__).parent.rglob("*.py")):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+def _sources() -> str | None:
+    """A digest of this package's files; None if one is younger than what this process loaded."""
+    digest, root = hashlib.sha256(), Path(fic_jax.__file__).parent
+    for path in sorted(root.rglob("*.py")):
+        if path.stat().st_mtime > LOADED:
+            return None
+        digest.update(f"{path.relative_to(root)}\0".encode() + path.read_bytes())
     return digest.hexdigest()

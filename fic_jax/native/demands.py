@@ -31,14 +31,14 @@ def demands(everything: Iterable[Node], loop: Loop) -> tuple[list[Node], dict[No
 
 
 def uses(node: Node, wanted: Demand) -> list[tuple[Node, Demand]]:
-    """What a node that is wanted looks at, and when."""
+    """What a node looks at, and when, if it is wanted no more often than told."""
     if isinstance(node.of, Branch):
         return [(made, wanted) for made in node.of.makes(node.value)]
     if node.op != "select_n":
         return [(arg, wanted) for arg in node.args]
     condition, no, yes = node.args
-    taken = [(arg, both(wanted, when(condition, arg is yes))) for arg in (no, yes)]
-    return [(condition, wanted), *taken]
+    taken = [(no, when(condition, False)), (yes, when(condition, True))]
+    return [(condition, wanted), *((arg, both(wanted, taking)) for arg, taking in taken)]
 
 
 def turn(node: Node) -> Loop | None:
@@ -78,8 +78,8 @@ def simplified(products: Iterable[frozenset[tuple[Node, bool]]]) -> Demand:
     shorter = frozenset() not in terms
     while shorter:
         shorter = False
-        for term in terms:
-            for node, holds in term:
+        for term in sorted(terms, key=_by_id):  # what comes out is the same in every process
+            for node, holds in sorted(term, key=_literal):
                 rest = term - {(node, holds)}
                 if any(other <= rest | {(node, not holds)} for other in terms):
                     terms = terms - {term} | {rest}
@@ -89,6 +89,14 @@ def simplified(products: Iterable[frozenset[tuple[Node, bool]]]) -> Demand:
                 break
     least = frozenset(a for a in terms if not any(b < a for b in terms))
     return least if len(least) <= TERMS else ALWAYS
+
+
+def _literal(condition: tuple[Node, bool]) -> tuple[int, bool]:
+    return condition[0].id, condition[1]
+
+
+def _by_id(product: frozenset[tuple[Node, bool]]) -> list[tuple[int, bool]]:
+    return sorted(map(_literal, product))
 
 
 def implies(a: Demand, b: Demand) -> bool:
@@ -111,10 +119,10 @@ def met(graph: Graph, demand: Demand) -> Node:
         return first
 
     products = []
-    for product in sorted(demand, key=lambda p: sorted((c[0].id, c[1]) for c in p)):
+    for product in sorted(demand, key=_by_id):
         literals = [
             node if holds else graph.node("not", (node,), "b")
-            for node, holds in sorted(product, key=lambda c: c[0].id)
+            for node, holds in sorted(product, key=_literal)
         ]
         products.append(joined("and", literals))
     return joined("or", products)

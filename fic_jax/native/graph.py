@@ -14,6 +14,7 @@ import numpy as np
 
 SAME = ("copy", "copy_p", "stop_gradient")  # primitives that change no number
 CALLS = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call")
+ZERO = {"f": 0.0, "i": 0, "b": False}  # of each kind of number
 
 
 class Untranslatable(Exception):  # noqa: N818  another arrangement takes over; nobody erred
@@ -159,7 +160,7 @@ class Graph:
 
     def kind(self, dtype: np.dtype) -> str:
         """f, i or b. All have the width of the numbers: whole ones are counts of less than 2^31."""
-        if dtype.kind not in "fib" or (dtype.kind == "f" and dtype != self.dtype):
+        if dtype not in (self.dtype, np.int32, np.int64, np.bool_):
             raise Untranslatable(f"{dtype} among {self.dtype}")
         return str(dtype.kind)
 
@@ -188,6 +189,9 @@ class Graph:
             return self.inlined(params.get("jaxpr") or params["call_jaxpr"], args, scope)
         if name == "scan":
             return self._looped(eqn, args, scope)
+        chosen = name == "select_n" and (len(args) > 3 or args[0].kind != "b")
+        if len(eqn.outvars) != 1 or chosen:
+            raise Untranslatable(f"the operation {name} with {len(args)} operands")
         kind = self.kind(eqn.outvars[0].aval.dtype)
         if name == "convert_element_type":
             return args if args[0].kind == kind else [self.node("convert", args, kind)]

@@ -2,9 +2,19 @@
 
 from collections.abc import Collection, Iterable, Sequence
 
-from fic_jax.native.demands import ALWAYS, NEVER, demands, either, implies, met, uses, without
-from fic_jax.native.graph import Branch, Graph, Loop, Node, live
-from fic_jax.native.moves import COSTLY, ZERO, cost, dependants, move, users_of
+from fic_jax.native.demands import (
+    ALWAYS,
+    NEVER,
+    Demand,
+    demands,
+    either,
+    implies,
+    met,
+    uses,
+    without,
+)
+from fic_jax.native.graph import ZERO, Branch, Graph, Loop, Node, live
+from fic_jax.native.moves import COSTLY, cost, dependants, move, users_of
 
 
 def keep(graph: Graph, latch: Node, everything: list[Node], roots: Sequence[Node]) -> list[Node]:
@@ -12,31 +22,37 @@ def keep(graph: Graph, latch: Node, everything: list[Node], roots: Sequence[Node
 
     `everything`, and what is returned, are the live nodes.
     """
-    loop, costly = latch.scope, alone(latch, everything)
-    if not (costly and isinstance(loop, Loop)):
+    loop, (_, costly) = latch.scope, alone(latch, everything)
+    if latch not in everything or not (costly and isinstance(loop, Loop)):
         return everything
-    inside = with_feeders(costly, latch, everything)
-    while inside:
-        inside = _keep(graph, latch, inside, loop, roots)
+    waiting = [with_feeders(costly, latch, everything)]
+    while waiting:
+        everything = live(roots)
+        inside = [n for n in waiting.pop() if n in everything]
+        _, wanted = demands(everything, loop)
+        demand = without(
+            either(NEVER, *(wanted[n] for n in outs_of(inside, everything))),
+            dependants(inside, everything),
+        )
+        apart = parted(graph, inside, everything, loop) if demand == ALWAYS else []
+        if apart:
+            waiting += [apart, inside]
+        elif demand != NEVER:
+            put_behind_change(graph, latch, inside, demand, everything)
     return live(roots)
 
 
-def _keep(
-    graph: Graph, latch: Node, inside: list[Node], loop: Loop, roots: Sequence[Node]
-) -> list[Node]:
-    """`keep` for these nodes; returns those that have to be kept apart from them."""
-    everything = live(roots)
-    users = users_of(everything)
-    nodes, wanted = demands(everything, loop)
-    outs = [n for n in inside if not users[n].issubset(inside)]
-    demand = without(either(*(wanted[n] for n in outs)), dependants(inside, nodes))
-    apart = parted(graph, inside, everything, loop) if demand == ALWAYS else []
-    if apart:
-        alive = set(live(roots))
-        return _keep(graph, latch, [n for n in inside if n in alive], loop, roots) or apart
+def put_behind_change(
+    graph: Graph, latch: Node, inside: list[Node], demand: Demand, everything: list[Node]
+) -> None:
+    """Compute nodes where they are wanted and the latch has changed; elsewhere they are as kept."""
+    loop, outs = latch.scope, outs_of(inside, everything)
+    assert isinstance(loop, Loop)
     # What is kept at first is right for a latch of 0.
     zero = graph.constant(ZERO[latch.kind], latch.kind)
-    key, firsts = carried(graph, loop, zero), replayed(graph, inside, {latch: zero})
+    by_latch, _ = alone(latch, everything)
+    firsts = replayed(graph, [n for n in everything if n in by_latch], {latch: zero})
+    key = carried(graph, loop, zero)
     kept = [key, *(carried(graph, loop, firsts[n]) for n in outs)]
     changed = graph.node("differs", (latch, key), "b")
     if demand != ALWAYS:
@@ -45,7 +61,12 @@ def _keep(
     branch = Branch(loop, [same, *outs], condition=changed, otherwise=list(kept))
     for phi, result in zip(kept, move(graph, [*inside, same], branch, everything), strict=True):
         loop.outs[phi.value] = result
-    return []
+
+
+def outs_of(inside: Sequence[Node], everything: Sequence[Node]) -> list[Node]:
+    """Those of some nodes that others use."""
+    users = users_of(everything)
+    return [n for n in inside if not users[n].issubset(inside)]
 
 
 def parted(
@@ -58,7 +79,7 @@ def parted(
     where that gains nothing.
     """
     nodes, wanted = demands(everything, loop)
-    later = dependants(inside, nodes)
+    later = dependants(inside, everything)
     at_once, late = NEVER, []
     for node in nodes:
         if node in inside:
@@ -80,17 +101,17 @@ def parted(
     return [copies[n] for n in inside]
 
 
-def alone(latch: Node, nodes: Iterable[Node]) -> set[Node]:
-    """What varies in the latch's loop by the latch alone and is costly, or needs what is."""
-    by_latch: set[Node] = {latch}
+def alone(latch: Node, nodes: Iterable[Node]) -> tuple[set[Node], set[Node]]:
+    """What varies in the latch's loop by the latch alone, and what of it needs what is costly."""
+    by_latch: set[Node] = set()
     costly: set[Node] = set()
     for node in nodes:
-        varying = [a for a in node.args if a.scope is latch.scope]
-        if node.scope is latch.scope and varying and by_latch.issuperset(varying):
+        varying = {a for a in node.args if a.scope is latch.scope}
+        if node.scope is latch.scope and varying and varying <= {latch, *by_latch}:
             by_latch.add(node)
             if cost(node) >= COSTLY or not costly.isdisjoint(varying):
                 costly.add(node)
-    return costly
+    return by_latch, costly
 
 
 def with_feeders(costly: Collection[Node], latch: Node, nodes: Sequence[Node]) -> list[Node]:

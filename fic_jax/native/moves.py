@@ -8,7 +8,6 @@ from fic_jax.native.graph import Branch, Graph, Node, Scope
 COST = {"exp": 16, "sqrt": 6, "div": 6, "constant": 0, "phi": 0, "result": 0}
 COSTLY = 16  # what a branch has to save if that is one operation (an exponential)
 BULK = 40  # or many: less is not worth a mispredicted jump
-ZERO = {"f": 0.0, "i": 0, "b": False}
 
 Users = dict[Node, set[Node]]
 
@@ -21,6 +20,7 @@ def move(graph: Graph, inside: Iterable[Node], branch: Branch, nodes: Iterable[N
     ]
     instead = dict(zip(branch.outs, results, strict=True))
     gone = set(inside)
+    graph.forget(gone)  # while those who use them still name them
     for node in nodes:
         if node not in gone and not instead.keys().isdisjoint(node.args):
             node.args = tuple(instead.get(a, a) for a in node.args)
@@ -28,7 +28,6 @@ def move(graph: Graph, inside: Iterable[Node], branch: Branch, nodes: Iterable[N
         scope.replace(instead)
     for node in gone:
         node.scope = branch
-    graph.forget(gone)
     return results
 
 

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 
-from fic_jax.native.graph import Branch, Loop, Node, Untranslatable, capture, live, ordered
+from fic_jax.native.graph import ZERO, Branch, Loop, Node, Untranslatable, capture, live, ordered
 
 SIMPLE = {
     "f": {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv", "neg": "fneg"},
     "i": {"add": "add", "sub": "sub", "mul": "mul", "neg": "neg"},
     "b": {"and": "and_", "or": "or_", "not": "not_", "xor": "xor"},
 }
+REAL = ("sign", "square", "integer_pow", "is_finite", "exp")  # here for real numbers only
 COMPARED = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
 INTRINSIC = {"abs": "fabs", "floor": "floor", "ceil": "ceil", "sqrt": "sqrt"}
 INT32, INT64 = ir.IntType(32), ir.IntType(64)
@@ -196,6 +197,14 @@ class _Writer:
         function = known or ir.Function(self.module, ir.FunctionType(of, [of] * len(args)), full)
         return self.b.call(function, args)
 
+    def saturated(self, x: Any, of: Any) -> Any:
+        """Real numbers as whole ones: the nearest there is, 0 for NaN."""
+        many = f"v{self.lanes}" if isinstance(of, ir.VectorType) else ""
+        full = f"llvm.fptosi.sat.{many}i{self.bits}.{many}f{self.bits}"
+        known = self.module.globals.get(full)
+        function = known or ir.Function(self.module, ir.FunctionType(of, [x.type]), full)
+        return self.b.call(function, [x])
+
     # ---- Operations ------------------------------------------------------------------------------
 
     def operation(self, node: Node) -> Any:
@@ -212,15 +221,16 @@ class _Writer:
         if op in INTRINSIC and kind == "f":
             return self.intrinsic(INTRINSIC[op], *args)
         method = getattr(self, f"_{op}", None)
-        if method is None:
+        if method is None or (kind != "f" and op in REAL):
             raise Untranslatable(f"the operation {op} on numbers of kind {kind}")
         return method(node, *args)
 
     def compared(self, how: str, kind: str, x: Any, y: Any) -> Any:
         b = self.b
-        compare = (
-            b.icmp_signed if kind != "f" else b.fcmp_unordered if how == "!=" else b.fcmp_ordered
-        )
+        if kind == "f":
+            compare = b.fcmp_unordered if how == "!=" else b.fcmp_ordered
+        else:
+            compare = b.icmp_signed if kind == "i" else b.icmp_unsigned  # true is all ones
         return self.mask(compare(how, x, y))
 
     def _select_n(self, _: Node, condition: Any, no: Any, yes: Any) -> Any:
@@ -248,8 +258,8 @@ class _Writer:
         if kinds == "if":
             return self.b.sitofp(x, of)
         if kinds == "fi":
-            return self.b.fptosi(x, of)
-        return self.mask(self.b.icmp_signed("!=", x, self.constant(x.type, 0)))
+            return self.saturated(x, of)
+        return self.compared("!=", kinds[0], x, self.constant(x.type, ZERO[kinds[0]]))
 
     def _sign(self, _: Node, x: Any) -> Any:
         zero, one = self.constant(x.type, 0.0), self.constant(x.type, 1.0)
@@ -272,18 +282,18 @@ class _Writer:
         return self._extreme("<", node, x, y)
 
     def _extreme(self, how: str, node: Node, x: Any, y: Any) -> Any:
-        b = self.b
+        """NaN if one is; of two zeros the second, whatever its sign."""
+        one = self.b.select(self.truth(self.compared(how, node.kind, x, y)), x, y)
         if node.kind != "f":
-            return b.select(b.icmp_signed(how, x, y), x, y)
-        one = b.select(b.fcmp_ordered(how, x, y), x, y)  # y where one is NaN
-        return b.select(b.fcmp_unordered("uno", x, x), x, one)
+            return one
+        return self.b.select(self.b.fcmp_unordered("uno", x, x), x, one)  # y, where that is NaN
 
     def _is_finite(self, _: Node, x: Any) -> Any:
         infinite = self.constant(x.type, float("inf"))
         return self.mask(self.b.fcmp_ordered("<", self.intrinsic("fabs", x), infinite))
 
     def _exp(self, _: Node, x: Any) -> Any:
-        """exp(x) = 2^n exp(r), |r| <= ln(2)/2; 0 or inf where the result would not be normal."""
+        """exp(x) = 2^n exp(r) with |r| <= ln(2)/2; 0 where the result would not be normal."""
         b, single = self.b, self.bits == 32
         number = lambda c: self.constant(x.type, c)  # noqa: E731
         fma = lambda p, q, r: self.intrinsic("fmuladd", p, q, r)  # noqa: E731
@@ -294,7 +304,7 @@ class _Writer:
             if single
             else (0.693145751953125, 1.42860682030941723212e-6)
         )
-        least, most = (-87.3, 88.3) if single else (-708.3, 709.0)
+        least, most = (-87.3, 88.7228) if single else (-708.3, 709.7827)
         shift = number(1.5 * 2.0**digits)  # adding it rounds to a whole number, in the last bits
         shifted = b.fadd(b.fmul(x, number(1.4426950408889634)), shift)
         n = b.fsub(shifted, shift)
@@ -307,4 +317,5 @@ class _Writer:
         exponent = b.shl(b.bitcast(shifted, whole), self.constant(whole, digits))
         scaled = b.bitcast(b.add(b.bitcast(p, whole), exponent), x.type)
         scaled = b.select(b.fcmp_ordered("<", x, number(least)), number(0.0), scaled)
-        return b.select(b.fcmp_ordered(">", x, number(most)), number(float("inf")), scaled)
+        scaled = b.select(b.fcmp_ordered(">", x, number(most)), number(float("inf")), scaled)
+        return b.select(b.fcmp_unordered("uno", x, x), x, scaled)

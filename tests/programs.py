@@ -1,0 +1,74 @@
+"""Random programs of wheres, exponentials, latches and loops, for what is not our law."""
+
+import random
+
+import jax
+import jax.numpy as jnp
+
+N_COLUMNS, N_RESULTS = 3, 4
+
+
+def program(seed):
+    """A function of columns and dt that is the same each time it is traced."""
+
+    def run(columns, dt):
+        chance = random.Random(seed)
+        values, conditions = [*columns, dt], [columns[0] > 0.0, columns[1] > columns[2]]
+        for _ in range(2):
+            values += loop(chance, values, conditions, 1)
+            grow(chance, values, conditions, 4, 1)
+        return [chance.choice(values[-8:]) for _ in range(N_RESULTS)]
+
+    return run
+
+
+def grow(chance, values, conditions, size, depth):
+    """Add operations on what there is."""
+
+    def one():
+        return chance.choice(values[-8:] if chance.random() < 0.7 else values)
+
+    for _ in range(size):
+        kind = chance.random()
+        if kind < 0.15:
+            values.append(jnp.exp(-jnp.abs(one())))
+        elif kind < 0.2:
+            values.append(one() / one())
+        elif kind < 0.4:
+            values.append(chance.choice([jnp.add, jnp.subtract, jnp.multiply])(one(), one()))
+        elif kind < 0.5:
+            conditions.append(chance.choice([jnp.less, jnp.greater_equal, jnp.equal])(one(), one()))
+        elif kind < 0.6:
+            a, b = chance.choice(conditions), chance.choice(conditions)
+            conditions.append(chance.choice([a & b, a | b, ~a]))
+        elif kind < 0.95 or depth > 1:
+            taken = jnp.exp(one() * 0.5) if chance.random() < 0.5 else one()
+            values.append(jnp.where(chance.choice(conditions[-5:]), taken, one()))
+        else:
+            values += loop(chance, values, conditions, depth + 1)
+
+
+def loop(chance, outer_values, outer_conditions, depth):
+    """The results of a loop with some latches."""
+    inits = tuple(chance.choice(outer_values) for _ in range(chance.randint(1, 4)))
+    turns, size, end = chance.randint(1, 5), chance.randint(4, 20), []
+    begin = chance.getstate()
+
+    def body(_, carry):
+        chance.setstate(begin)
+        values, conditions = [*outer_values, *carry], list(outer_conditions)
+        outs = []
+        for last in carry:
+            conditions.append(chance.choice(values) > chance.choice(values))
+            latch = jnp.where(conditions[-1], chance.choice(values), last)
+            values += [latch, jnp.exp(-jnp.abs(latch)), last]
+            outs.append(latch)
+        grow(chance, values, conditions, size, depth)
+        free = [chance.random() < 0.5 for _ in outs]
+        outs = [chance.choice(values) if f else o for f, o in zip(free, outs, strict=True)]
+        end[:] = [chance.getstate()]
+        return tuple(outs)
+
+    found = list(jax.lax.fori_loop(0, turns, body, inits))
+    chance.setstate(end[0])
+    return found
