@@ -27,9 +27,9 @@ ARRANGEMENT = {"cpu": "native", "gpu": "kernel"}
 # longer to compile; a located step is long enough by itself.
 UNROLL = {"rk4": 2, "rk4_events": 1}
 
-# Vector registers that a value takes in a native kernel: while one of two instructions waits the
-# other works, but what is long by itself no longer fits in the caches of instructions then.
-REGISTERS = {"rk4": 2, "rk4_events": 1}
+# Vector registers that a value takes in a native kernel. With two, one instruction works while the
+# other waits, and an undisturbed core is a tenth faster; two busy ones were slower.
+REGISTERS = 1
 
 # What is told where an arrangement can't be built.
 SLOWER = {
@@ -189,7 +189,7 @@ def _compiled(
                 len(QUANTITIES),
                 result,
                 dtype,
-                registers=1 if error_estimate else REGISTERS[model.integrator],
+                registers=REGISTERS,
                 threads=threads(devices),
                 identity=identity,
             )
