@@ -1,6 +1,6 @@
 # make sweep   run the paper sweeps and the small atlas; stores, pictures and report under results/
 # make test    lint, types and all tests
-# make torture the durability tests at length (FIC_SWEEP_TORTURE=1), an hour on two cores, with counts
+# make torture the tests of stores and kernels at length (FIC_SWEEP_TORTURE=1), an hour on two cores, with counts
 # make coverage how much of the store, the ledger and the planner the tests run
 # make picture remake the README's picture
 # make figures the paper's figures, and those of a report that has run, under results/figures/
@@ -39,7 +39,7 @@ lint: $(VENV)/installed
 	$(BIN)/mypy
 
 torture: $(VENV)/installed
-	FIC_SWEEP_TORTURE=1 $(BIN)/pytest -s tests/test_durability.py tests/test_state_machine.py tests/test_fuzz.py
+	FIC_SWEEP_TORTURE=1 $(BIN)/pytest -s $(patsubst %,tests/test_%.py,durability state_machine fuzz untrusted native)
 
 coverage: $(VENV)/installed
 	$(BIN)/pytest --cov --cov-report= $(STORE_TESTS)

@@ -57,7 +57,9 @@ def cores() -> int:
 
 
 def tune_for_throughput(devices: int | None = None) -> None:
-    """Make JAX compile for sweeps and use `devices` CPU devices (default: all cores).
+    """Use `devices` CPU devices (default: all cores), and make XLA compile for sweeps.
+
+    A CPU's sweeps then share that many cores; the flags matter where XLA compiles them (`SLOWER`).
 
     Call it before JAX starts; it sets XLA_FLAGS of this process, keeping those already there, and
     `jax_num_cpu_devices`. Where this jaxlib was never tried with them the flags are left alone,
@@ -71,7 +73,7 @@ def tune_for_throughput(devices: int | None = None) -> None:
         tried = ", ".join(f"{v}x" for v in TRIED_JAXLIB)
         warnings.warn(
             f"jaxlib {version('jaxlib')} was not tried with the XLA flags that make sweeps fast "
-            f"(they were with {tried}): they are left out, expect a third of the speed",
+            f"(they were with {tried}): they are left out, expect a third of XLA's speed",
             RuntimeWarning,
             stacklevel=2,
         )
@@ -124,10 +126,10 @@ def sweep(
 ) -> Metrics | tuple[Metrics, Metrics]:
     """Evaluate N scenarios: Params with [N] leaves (scalars broadcast) to Metrics of [N] arrays.
 
-    All local devices share the work. The result of a scenario does not depend on N, on its
-    neighbours or on the number of devices, bit for bit. The dtype follows the leaves. With
-    `error_estimate` also the estimated error of every metric (`evaluate_with_error`), at several
-    times the cost.
+    All cores of a CPU (`tune_for_throughput` may ask for fewer) or all local GPUs share the work.
+    The result of a scenario depends neither on N nor on its neighbours or who shares, bit for bit.
+    The dtype follows the leaves. With `error_estimate` also the estimated error of every metric
+    (`evaluate_with_error`), at several times the cost.
 
     Raises ParamsError if a value is out of bounds or the leaves' shapes differ.
     """

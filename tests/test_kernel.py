@@ -33,18 +33,6 @@ MODELS = [
 ]
 
 
-@pytest.fixture
-def arranged(monkeypatch):
-    """How the engine arranges what it runs, on the CPU that tests have."""
-
-    def arrange(arrangement):
-        monkeypatch.setitem(engine.ARRANGEMENT, "cpu", arrangement)
-        engine._compiled.cache_clear()
-
-    yield arrange
-    engine._compiled.cache_clear()
-
-
 @pytest.mark.parametrize(
     ("model", "dtype"), list(zip(MODELS, (np.float32, np.float64, np.float32), strict=True))
 )

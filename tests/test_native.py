@@ -18,10 +18,11 @@ from fic_jax.native import Kernel, branches
 from fic_jax.native.graph import Branch, Loop, Untranslatable, fuse, live, traced
 from fic_jax.native.vectors import kernel
 from fic_jax.params import QUANTITIES
+from tests import faults
 from tests.programs import N_COLUMNS, N_RESULTS, program
 
 ROOT = Path(__file__).parent.parent
-PROGRAMS = 1000 if os.environ.get("FIC_SWEEP_TORTURE") else 40
+PROGRAMS = 1000 if os.environ.get(faults.TORTURE) else 40
 DTYPES = [np.dtype(np.float32), np.dtype(np.float64)]
 ODD = [0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 3.0, 7.25, 1e-30, -1e-30, 1e30, np.inf, -np.inf, np.nan]
 # every option at least once
@@ -348,18 +349,6 @@ def batch(n, dtype, seed=0):
     }
     columns["Kenv"][-1] = 1e9
     return Params(**{k: v.astype(dtype) for k, v in columns.items()})
-
-
-@pytest.fixture
-def arranged(monkeypatch):
-    """How the engine arranges scenarios here; programs of the test are forgotten afterwards."""
-
-    def arrange(arrangement):
-        monkeypatch.setitem(engine.ARRANGEMENT, "cpu", arrangement)
-        engine._compiled.cache_clear()
-
-    yield arrange
-    engine._compiled.cache_clear()
 
 
 def assert_same(a, b):

@@ -24,7 +24,7 @@ from fic_jax import (
 )
 from fic_jax import step as public_step
 from fic_jax.blocks import BLOCKS, LANES
-from fic_jax.engine import ARRANGEMENT, _compiled
+from fic_jax.engine import _compiled
 from fic_jax.profile import energy, force
 from tests.streamed import streamed
 
@@ -77,18 +77,6 @@ def test_jit_equals_eager(law):
                 state, sample = public_step(APPROACH, state, model=model, dt=DT)
         states.append(jax.tree.map(np.asarray, (state, sample)))
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-13), *states)
-
-
-@pytest.fixture
-def arranged(monkeypatch):
-    """How the engine arranges scenarios here; programs of the test are forgotten afterwards."""
-
-    def arrange(arrangement):
-        monkeypatch.setitem(ARRANGEMENT, "cpu", arrangement)
-        _compiled.cache_clear()
-
-    yield arrange
-    _compiled.cache_clear()
 
 
 @pytest.mark.parametrize("arrangement", ["native", "scan"])
@@ -163,6 +151,7 @@ import os, sys, warnings
 import numpy as np
 import fic_jax.engine
 fic_jax.engine.TRIED_JAXLIB = ("0.0.",)
+fic_jax.engine.ARRANGEMENT["cpu"] = "scan"
 with warnings.catch_warnings(record=True) as told:
     warnings.simplefilter("always")
     fic_jax.tune_for_throughput(2)
@@ -176,7 +165,7 @@ sys.stdout.write(metrics.nmse.tobytes().hex())
 
 
 def test_an_untried_jaxlib_runs_without_the_flags():
-    """One warning, both devices, and the numbers of the arranged engine to a few ulp."""
+    """One warning, both devices, and the numbers of the vector kernel to a few ulp."""
     environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
     command = [sys.executable, "-c", WITHOUT_FLAGS]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)

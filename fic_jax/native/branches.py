@@ -21,7 +21,7 @@ from fic_jax.native.moves import (
     cost,
     dependants,
     move,
-    users_of,
+    outs_of,
     visible,
 )
 
@@ -56,8 +56,7 @@ def jump_over(graph: Graph, loop: Loop, roots: Sequence[Node]) -> bool:
         inside = [n for n in inside if n not in first]
         if sum(map(cost, inside)) < COSTLY:
             continue
-        users = users_of(everything)
-        outs = [n for n in inside if not users[n].issubset(inside)]
+        outs = outs_of(inside, everything)
         zeros = [graph.constant(ZERO[n.kind], n.kind) for n in outs]
         branch = Branch(scope, outs, condition=condition, otherwise=zeros, demand=known)
         move(graph, inside, branch, everything)

@@ -14,7 +14,7 @@ from fic_jax.native.demands import (
     without,
 )
 from fic_jax.native.graph import ZERO, Branch, Graph, Loop, Node, live
-from fic_jax.native.moves import COSTLY, cost, dependants, move, users_of
+from fic_jax.native.moves import COSTLY, cost, dependants, move, outs_of, users_of
 
 
 def keep(graph: Graph, latch: Node, everything: list[Node], roots: Sequence[Node]) -> list[Node]:
@@ -61,12 +61,6 @@ def put_behind_change(
     branch = Branch(loop, [same, *outs], condition=changed, otherwise=list(kept))
     for phi, result in zip(kept, move(graph, [*inside, same], branch, everything), strict=True):
         loop.outs[phi.value] = result
-
-
-def outs_of(inside: Sequence[Node], everything: Sequence[Node]) -> list[Node]:
-    """Those of some nodes that others use."""
-    users = users_of(everything)
-    return [n for n in inside if not users[n].issubset(inside)]
 
 
 def parted(

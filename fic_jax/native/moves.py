@@ -54,6 +54,12 @@ def users_of(nodes: Iterable[Node]) -> Users:
     return users
 
 
+def outs_of(inside: Collection[Node], everything: Iterable[Node]) -> list[Node]:
+    """Those of some nodes that others use."""
+    users = users_of(everything)
+    return [n for n in inside if not users[n].issubset(inside)]
+
+
 def dependants(first: Iterable[Node], nodes: Iterable[Node]) -> set[Node]:
     """Nodes and all that can't be computed before them."""
     later = set(first)

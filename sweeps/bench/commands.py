@@ -28,8 +28,8 @@ Td = {{ lin = [1.0, 20.0], n = {last} }}
 def run(plan: Plan, tell: Tell) -> Table:
     """`fic-sweep run` against the bare engine on the same scenarios, and its memory.
 
-    What is compared is the whole process less compiling (tracing, LLVM or XLA, as told
-    them); the second ratio also takes off the start (interpreter and imports).
+    What is compared is the whole process less compiling (tracing, LLVM or XLA, as these
+    tell); the second ratio also takes off the start (interpreter and imports).
     """
     wanted = plan.scenarios or (CELLS_FULL if plan.full else CELLS)
     with tempfile.TemporaryDirectory(prefix="fic-sweep-bench-") as name:
