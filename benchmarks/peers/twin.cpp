@@ -122,7 +122,7 @@ template <class V> INLINE V exp2(V y, V rate) {
 // ---- The law -------------------------------------------------------------------------------------
 
 template <class V> struct Plant {
-  V gap, Kenv, Denv, per_inertia;
+  V gap, Kenv, Denv;
 
   INLINE V interaction(V x, V v) const {
     const V pressed = Kenv * (x - gap) + Denv * greater(V{}, v);
@@ -194,7 +194,8 @@ template <class V, class T> void run_vector(const Job<T>& job, int64_t first) {
       r[w] = job.columns[field * job.n + std::min(first + w, job.n - 1)];
     return r;
   };
-  const Plant<V> plant = {load(gap), load(Kenv), load(Denv), 1 / load(I)};
+  const Plant<V> plant = {load(gap), load(Kenv), load(Denv)};
+  const V whole = dt / load(I), half = whole / 2, sixth = whole / 6;
   Spring<V> spring = {load(K0), load(Fmax), load(x0), load(xb), V{}, V{}, V{}};
   spring.b = (spring.xb - spring.x0) / load(S);
   spring.rate = T(-1.4426950408889634) / spring.b;
@@ -237,16 +238,17 @@ template <class V, class T> void run_vector(const Job<T>& job, int64_t first) {
                             select(diverging, saturating, far), select(diverging, V{}, e_M / 2),
                             diverging};
       // RK4; x' = v, so that the stages of x need no sums of their own
-      const V t1 = held.torque(spring, x), a1 = (t1 - tau_env) * plant.per_inertia;
-      const V x2 = x + dt / 2 * v, v2 = v + dt / 2 * a1, t2 = held.torque(spring, x2);
-      const V a2 = (t2 - plant.interaction(x2, v2)) * plant.per_inertia;
-      const V x3 = x2 + dt * dt / 4 * a1, v3 = v + dt / 2 * a2, t3 = held.torque(spring, x3);
-      const V a3 = (t3 - plant.interaction(x3, v3)) * plant.per_inertia;
-      const V x4 = x + dt * v + dt * dt / 2 * a2, v4 = v + dt * a3, t4 = held.torque(spring, x4);
-      const V a4 = (t4 - plant.interaction(x4, v4)) * plant.per_inertia;
+      // the net torques are divided by I only where they move something: off the stages' chain
+      const V t1 = held.torque(spring, x), f1 = t1 - tau_env;
+      const V x2 = x + dt / 2 * v, v2 = v + half * f1, t2 = held.torque(spring, x2);
+      const V f2 = t2 - plant.interaction(x2, v2);
+      const V x3 = x2 + dt / 2 * half * f1, v3 = v + half * f2, t3 = held.torque(spring, x3);
+      const V f3 = t3 - plant.interaction(x3, v3);
+      const V x4 = x + dt * v + dt * half * f2, v4 = v + whole * f3, t4 = held.torque(spring, x4);
+      const V f4 = t4 - plant.interaction(x4, v4);
       work.add(dt / 6 * (t1 * v + t4 * v4 + 2 * (t2 * v2 + t3 * v3)));
-      x += dt * v + dt * dt / 6 * (a1 + a2 + a3);
-      v += dt / 6 * (a1 + 2 * (a2 + a3) + a4);
+      x += dt * v + dt * sixth * (f1 + f2 + f3);
+      v += sixth * (f1 + 2 * (f2 + f3) + f4);
       // Metrics
       tau_env = plant.interaction(x, v);
       const V eps = (tau_env - wanted) * per_T_n;
