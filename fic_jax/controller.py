@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from fic_jax.params import Model, Params, Scalar
-from fic_jax.profile import energy, force, saturating
+from fic_jax.profile import bend, energy, force
 
 REST_BAND = 0.01  # rad/s, below which `velocity_band` counts the joint as at rest
 
@@ -83,13 +83,16 @@ def torque(
     `side`, an error, chooses between the pieces in place of e.
     """
     side = e if side is None else side
-    near = jnp.abs(side) <= p.x0
+    near, far = jnp.abs(side) <= p.x0, jnp.abs(side) >= p.xb
     within = attractor.effort_slope if model.law == "effort" else attractor.energy_slope
     beyond = attractor.energy_slope if model.law == "energy" else attractor.effort_slope
-    # Up to x0 both branches are straight lines; beyond it the diverging one bends.
-    slope = jnp.where(near, jnp.where(attractor.diverging, p.K0, within), beyond)
-    straight = slope * (e - jnp.where(attractor.diverging, 0.0, 0.5 * attractor.e_M))
-    tau = jnp.where(attractor.diverging & ~near, saturating(e, side, p), straight)
+    # All but the bend between x0 and xb are straight lines: beyond xb, diverging, one so steep that
+    # the limit makes +-Fmax of it.
+    within = jnp.where(attractor.diverging, p.K0, within)
+    beyond = jnp.where(attractor.diverging, 2.0 * p.Fmax / p.x0, beyond)
+    centre = jnp.where(attractor.diverging, 0.0, 0.5 * attractor.e_M)
+    straight = jnp.where(near, within, beyond) * (e - centre)
+    tau = jnp.where(attractor.diverging & ~near & ~far, bend(e, p), straight)
     # where, not clip: XLA's minimum and maximum look for NaN first, which costs twice as much
     tau = jnp.where(tau < -p.Fmax, -p.Fmax, tau)
     return jnp.where(tau > p.Fmax, p.Fmax, tau)

@@ -38,16 +38,24 @@ class Motion:
     work: Scalar  # J
 
 
-Slopes = tuple[Motion, Motion, Motion, Motion]  # d/dt of the motion at RK4's four stages
+# What drives a motion at RK4's four stages: velocity, torque (which I divides) and power.
+Slopes = tuple[Motion, Motion, Motion, Motion]
 
 
-def acceleration(
+def net_torque(
     p: Params, tau: Scalar, x: Scalar, v: Scalar, model: Model, side: Motion | None = None
 ) -> jax.Array:
-    """x'' = (torque - tau_env)/I, rad/s^2; `side` as in `stages`."""
-    per_I = 1.0 / p.I  # the same in all steps, unlike a quotient of what changes
+    """I x'' = torque - tau_env, N*m; `side` as in `stages`."""
     x_v = None if side is None else (side.x, side.v)
-    return (tau - interaction_torque(x, v, p, model, x_v)) * per_I
+    return tau - interaction_torque(x, v, p, model, x_v)
+
+
+def spans(p: Params, h: Scalar) -> Motion:
+    """What each slope is multiplied by in `h` seconds: for the velocity h/I, the same in all steps.
+
+    A division of the torques by I at each stage would stand in the way of the next stage.
+    """
+    return Motion(h, h * (1.0 / p.I), h)
 
 
 def stages(
@@ -63,33 +71,36 @@ def stages(
 
     `side`: the point that chooses the pieces of law and contact, by default each stage's own.
     """
+    span = spans(p, h)
 
     def slope(x: Scalar, v: Scalar) -> Motion:
         e_side = None if side is None else x_h - side.x
         tau = torque(x_h - x, attractor, p, model, e_side)
-        return Motion(v, acceleration(p, tau, x, v, model, side), tau * v)
+        return Motion(v, net_torque(p, tau, x, v, model, side), tau * v)
+
+    def further(part: float, by: Motion) -> Motion:
+        return slope(start.x + part * span.x * by.x, start.v + part * span.v * by.v)
 
     first = slope(start.x, start.v)
-    second = slope(start.x + 0.5 * h * first.x, start.v + 0.5 * h * first.v)
-    third = slope(start.x + 0.5 * h * second.x, start.v + 0.5 * h * second.v)
-    fourth = slope(start.x + h * third.x, start.v + h * third.v)
-    return first, second, third, fourth
+    second = further(0.5, first)
+    third = further(0.5, second)
+    return first, second, third, further(1.0, third)
 
 
-def end_of(start: Motion, slopes: Slopes, h: Scalar) -> Motion:
-    """Where the slopes lead in `h` seconds, to fourth order."""
+def end_of(start: Motion, slopes: Slopes, span: Motion) -> Motion:
+    """Where the slopes lead over `span`, to fourth order."""
 
-    def quadrature(y: Scalar, k1: Scalar, k2: Scalar, k3: Scalar, k4: Scalar) -> Scalar:
-        return y + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    def quadrature(y: Scalar, h: Scalar, *k: Scalar) -> Scalar:
+        return y + (1.0 / 6.0) * h * (k[0] + 2.0 * k[1] + 2.0 * k[2] + k[3])
 
-    return jax.tree.map(quadrature, start, *slopes)
+    return jax.tree.map(quadrature, start, span, *slopes)
 
 
 def advance(
     p: Params, start: Motion, x_h: Scalar, attractor: Attractor, model: Model, dt: Scalar
 ) -> Motion:
     """Classic RK4 (Simulink's ode4); branch, e_M and x_h are held, all else is as each stage's."""
-    return end_of(start, stages(p, start, x_h, attractor, model, dt), dt)
+    return end_of(start, stages(p, start, x_h, attractor, model, dt), spans(p, dt))
 
 
 def advance_located(
@@ -113,7 +124,7 @@ def advance_located(
         entered = enter(p, motion, x_h, e_M, nowhere, model, dt)
         attractor, side = _where(left > 0.0, entered, (attractor, side))
     slopes = stages(p, motion, x_h, attractor, model, left, side)
-    return _where(left > 0.0, end_of(motion, slopes, left), motion), attractor
+    return _where(left > 0.0, end_of(motion, slopes, spans(p, left)), motion), attractor
 
 
 def enter(
@@ -128,7 +139,7 @@ def enter(
     attractor = latch(e, departs(e, at.v, model), e_M, p, model, grown)
     tau = torque(e, attractor, p, model)
     soon = AHEAD * dt
-    v = at.v + soon * acceleration(p, tau, at.x, at.v, model)
+    v = at.v + spans(p, soon).v * net_torque(p, tau, at.x, at.v, model)
     way = 0.5 * soon * (at.v + v)
     # And some units of the last place, or a slow motion would not get off the switch.
     least = 4.0 * jnp.finfo(at.x.dtype).eps * (jnp.abs(at.x) + jnp.abs(x_h))
@@ -146,8 +157,8 @@ def until_switch(
     First v, as x only turns where v is 0: until then each x comes but once. A v that crosses 0
     and is back within the segment is not seen.
     """
-    path = Path.of(start, slopes, h)
-    end = end_of(start, slopes, h)
+    path = Path.of(start, slopes, spans(p, h))
+    end = end_of(start, slopes, spans(p, h))
     v_next, stops = _first(_speed_levels(model), start.v, end.v)
     whole = jnp.ones_like(start.v)
     turn = jnp.where(stops, path.part_at("v", v_next - start.v, end.v - start.v, whole), whole)
@@ -189,12 +200,18 @@ class Path:
     cubic: Motion
 
     @classmethod
-    def of(cls, start: Motion, slopes: Slopes, h: Scalar) -> "Path":
+    def of(cls, start: Motion, slopes: Slopes, span: Motion) -> "Path":
         """Hairer, Norsett, Wanner 1993, II.6: continuous extension of the classic method."""
-        k1, k2, k3, k4 = slopes
-        square = jax.tree.map(lambda a, b, c, d: h * (b + c - 1.5 * a - 0.5 * d), k1, k2, k3, k4)
-        cubic = jax.tree.map(lambda a, b, c, d: h * (a - b - c + d) / 1.5, k1, k2, k3, k4)
-        return cls(start, jax.tree.map(lambda a: h * a, k1), square, cubic)
+
+        def square(h: Scalar, a: Scalar, b: Scalar, c: Scalar, d: Scalar) -> Scalar:
+            return h * (b + c - 1.5 * a - 0.5 * d)
+
+        def cubic(h: Scalar, a: Scalar, b: Scalar, c: Scalar, d: Scalar) -> Scalar:
+            return (2.0 / 3.0) * h * (a - b - c + d)
+
+        linear = jax.tree.map(lambda h, a: h * a, span, slopes[0])
+        curved = (jax.tree.map(of, span, *slopes) for of in (square, cubic))
+        return cls(start, linear, *curved)
 
     def at(self, part: Scalar) -> Motion:
         """The motion at a part of the step."""

@@ -73,8 +73,8 @@ class Accumulator:
     square: Sum  # of eps^2 over the half going on
     error: Sum  # of eps over the half going on
     outside: Scalar  # samples up to and including the last one outside the settling band
-    peak: Scalar  # N*m
-    ratio: Scalar  # largest T/T_n
+    highest: Scalar  # N*m, largest T, at least 0
+    lowest: Scalar  # N*m, smallest T, at most 0
     before_touch: Scalar  # samples before the first one in contact
     touched: Scalar  # samples in contact
     switches: Scalar
@@ -91,7 +91,6 @@ def empty(p: Params) -> Accumulator:
     """The accumulator before the first sample."""
     zero, none = jnp.zeros_like(p.Td), jnp.zeros_like(p.Td, jnp.int32)
     yes = jnp.ones_like(p.Td, bool)
-    # ratio starts at 0: an overshoot is floored at 0 and T/T_n never needs to be negative.
     sum_ = Sum(zero, zero)
     return Accumulator(zero, sum_, sum_, none, zero, zero, none, none, none, yes, sum_)
 
@@ -106,27 +105,30 @@ def update(
     """Add sample k (counted from 0) of `n_steps`."""
     per_T_n = 1.0 / reachable(p)
     eps = (sample.tau_env - p.Td) * per_T_n
-    ratio = sample.tau_env * per_T_n
+    settled = jnp.abs(sample.tau_env * per_T_n - 1.0) <= SETTLING_BAND  # not, where NaN
     tail_begins = k == n_steps // 2
     touching = in_contact(sample.x, p, model)
+    touched = _count(acc.touched, touching)
+    pulls = model.contact != "hard_stop"
     switched = (sample.diverging != acc.diverging) & (k > 0)
     return Accumulator(
         square_head=jnp.where(tail_begins, acc.square.total, acc.square_head),
         square=acc.square.restarted(tail_begins).plus(eps**2),
         error=acc.error.restarted(tail_begins).plus(eps),
-        # written so that NaN counts as outside
-        outside=jnp.where(jnp.abs(ratio - 1.0) <= SETTLING_BAND, acc.outside, k + 1),
-        peak=jnp.maximum(acc.peak, jnp.abs(sample.tau_env)),
-        ratio=jnp.maximum(acc.ratio, ratio),
-        before_touch=_count(acc.before_touch, ~touching & (acc.touched == 0)),
-        touched=_count(acc.touched, touching),
+        outside=jnp.where(settled, acc.outside, k + 1),
+        highest=jnp.maximum(acc.highest, sample.tau_env),
+        lowest=jnp.minimum(acc.lowest, sample.tau_env) if pulls else acc.lowest,
+        before_touch=jnp.where(touched > 0, acc.before_touch, k + 1),
+        touched=touched,
         switches=_count(acc.switches, switched),
         diverging=sample.diverging,
         work=acc.work.plus(sample.work),
     )
 
 
-def finish(acc: Accumulator, x: Scalar, v: Scalar, n_steps: int, dt: jax.Array) -> Metrics:
+def finish(
+    acc: Accumulator, x: Scalar, v: Scalar, n_steps: int, p: Params, dt: jax.Array
+) -> Metrics:
     """Turn sums into metrics; sample k lies at (k + 1) dt, a time that never comes is inf.
 
     `x`, `v` are those of the last sample: a motion that leaves the finite numbers never returns.
@@ -137,14 +139,15 @@ def finish(acc: Accumulator, x: Scalar, v: Scalar, n_steps: int, dt: jax.Array) 
 
     n_tail = n_steps - n_steps // 2
     nmse = (acc.square_head + acc.square.total) / n_steps
+    T_n = reachable(p)
     lost = n_steps - acc.before_touch - acc.touched
     return Metrics(
         nmse=nmse,
         nmse_tail=acc.square.total / n_tail,
         convergence_time=jnp.where(acc.outside < n_steps, seconds(acc.outside + 1), jnp.inf),
         steady_error=acc.error.total / n_tail,
-        peak_torque=acc.peak,
-        overshoot=jnp.maximum(acc.ratio - 1.0, 0.0),
+        peak_torque=jnp.maximum(-acc.lowest, acc.highest),
+        overshoot=jnp.maximum(jnp.where(T_n < 0.0, acc.lowest, acc.highest) / T_n - 1.0, 0.0),
         contact_time=jnp.where(acc.touched > 0, seconds(acc.before_touch + 1), jnp.inf),
         contact_lost=seconds(lost),
         mode_switches=acc.switches,
@@ -158,7 +161,7 @@ def finish(acc: Accumulator, x: Scalar, v: Scalar, n_steps: int, dt: jax.Array) 
 
 def blank(p: Params, dt: Scalar) -> Metrics:
     """Metrics of no run at all, with the types of any."""
-    return finish(empty(p), p.x_init, p.v_init, 2, dt)
+    return finish(empty(p), p.x_init, p.v_init, 2, p, dt)
 
 
 def evaluate(
@@ -189,4 +192,4 @@ def compiled_evaluate(
 
     start = (init(p, model), empty(p))
     state, acc = jax.lax.fori_loop(np.int32(0), np.int32(n_steps), body, start, unroll=unroll)
-    return finish(acc, state.x, state.v, n_steps, dt)
+    return finish(acc, state.x, state.v, n_steps, p, dt)

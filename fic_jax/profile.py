@@ -23,14 +23,15 @@ def force(e: Scalar, p: Params) -> jax.Array:
     with dF = Fmax - K0 x0 and b = (xb - x0)/S (eq. 1). It is not limited to Fmax: where
     K0 x0 > Fmax the profile overshoots between x0 and xb, and the controller clips its torque.
     """
-    return jnp.where(jnp.abs(e) <= p.x0, p.K0 * e, saturating(e, e, p))
+    e_abs = jnp.abs(e)
+    limit = jnp.where(e < 0.0, -p.Fmax, p.Fmax)
+    beyond = jnp.where(e_abs >= p.xb, limit, bend(e, p))  # written so that NaN stays NaN
+    return jnp.where(e_abs <= p.x0, p.K0 * e, beyond)
 
 
-def saturating(e: Scalar, side: Scalar, p: Params) -> jax.Array:
-    """`force` beyond x0, on the piece on which the error `side` lies, whichever e lies on."""
-    dF = p.Fmax - p.K0 * p.x0
-    # written so that NaN stays NaN; K0 x0 + dF is Fmax
-    magnitude = p.Fmax - jnp.where(jnp.abs(side) >= p.xb, 0.0, dF * _decay(jnp.abs(e), p))
+def bend(e: Scalar, p: Params) -> jax.Array:
+    """`force` between x0 and xb, whichever piece e lies on."""
+    magnitude = p.Fmax - (p.Fmax - p.K0 * p.x0) * _decay(jnp.abs(e), p)
     return jnp.where(e < 0.0, -magnitude, magnitude)
 
 

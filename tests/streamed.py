@@ -17,4 +17,4 @@ def streamed(p, samples, dt, model):
         return update(acc, *step, n_steps, p, model), None
 
     acc, _ = jax.lax.scan(add, empty(p), (samples, jnp.arange(n_steps, dtype=jnp.int32)))
-    return finish(acc, samples.x[-1], samples.v[-1], n_steps, dt)
+    return finish(acc, samples.x[-1], samples.v[-1], n_steps, p, dt)

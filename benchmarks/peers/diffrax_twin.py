@@ -97,4 +97,4 @@ def _evaluate(p: Params, dt: jax.Array, n_steps: int, solver: Any, term: Any) ->
 
     first = (init(p, MODEL), empty(p))
     (state, acc), _ = jax.lax.scan(body, first, jnp.arange(n_steps, dtype=jnp.int32))
-    return finish(acc, state.x, state.v, n_steps, dt)
+    return finish(acc, state.x, state.v, n_steps, p, dt)

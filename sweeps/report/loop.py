@@ -23,7 +23,7 @@ from fic_jax import Model, Params
 from fic_jax.controller import latch, torque
 from fic_jax.environment import interaction_torque
 from fic_jax.exploration import expected_reference, explore
-from fic_jax.integration import acceleration
+from fic_jax.integration import net_torque
 from fic_jax.params import canonical
 from fic_jax.profile import force
 
@@ -132,7 +132,7 @@ def _one(p: Params, branch: str) -> tuple[jax.Array, ...]:
     def motion(y: jax.Array) -> jax.Array:
         x, v, x_h = y
         tau = torque(x_h - x, attractor, p, LINEAR)
-        return jnp.stack([v, acceleration(p, tau, x, v, LINEAR), jnp.zeros_like(v)])
+        return jnp.stack([v, net_torque(p, tau, x, v, LINEAR) / p.I, jnp.zeros_like(v)])
 
     def touch(y: jax.Array) -> jax.Array:
         return interaction_torque(y[0], y[1], p, LINEAR)

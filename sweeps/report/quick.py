@@ -58,7 +58,9 @@ def _compiled(model: Model, n: int, n_histories: int, dtype: np.dtype) -> Any:
         types = jax.eval_shape(one, start, jnp.zeros((), jnp.int32))[1]
         kept = jax.tree.map(lambda leaf: jnp.zeros((OUTER, INNER, *leaf.shape), leaf.dtype), types)
         (state, acc), kept = jax.lax.fori_loop(0, n_steps // INNER, some, (start, kept))
-        metrics = jax.vmap(lambda a, x, v: finish(a, x, v, n_steps, dt))(acc, state.x, state.v)
+        metrics = jax.vmap(lambda a, x, v, p: finish(a, x, v, n_steps, p, dt))(
+            acc, state.x, state.v, batch
+        )
         return metrics, jax.tree.map(lambda leaf: leaf.reshape(OUTER * INNER, -1), kept)
 
     fields = Params(**dict.fromkeys(vars(Params()), jax.ShapeDtypeStruct((n,), dtype)))
