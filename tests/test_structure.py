@@ -31,13 +31,16 @@ ARROWS = {
     "fic_jax.native.graph": set(),
     "fic_jax.native.demands": {"fic_jax.native.graph"},
     "fic_jax.native.moves": {"fic_jax.native.graph"},
+    "fic_jax.native.turns": {f"fic_jax.native.{n}" for n in ("graph", "moves")},
     "fic_jax.native.latched": {f"fic_jax.native.{n}" for n in ("graph", "demands", "moves")},
     "fic_jax.native.branches": {
-        f"fic_jax.native.{n}" for n in ("graph", "demands", "moves", "latched")
+        f"fic_jax.native.{n}" for n in ("graph", "demands", "moves", "latched", "turns")
     },
     "fic_jax.native.vectors": {"fic_jax.native.graph"},
     "fic_jax.native.code": {"fic_jax", "fic_jax._version"},  # where it lies
-    "fic_jax.native": {f"fic_jax.native.{n}" for n in ("graph", "branches", "vectors", "code")},
+    "fic_jax.native": {
+        f"fic_jax.native.{n}" for n in ("graph", "branches", "vectors", "code", "turns")
+    },
     "fic_jax.engine": {
         f"fic_jax.{n}" for n in ("params", "metrics", "accuracy", "blocks", "native")
     },

@@ -17,6 +17,7 @@ import numpy as np
 from fic_jax.native.branches import branch_out
 from fic_jax.native.code import Function, kept, register_bytes, this_processor
 from fic_jax.native.graph import Untranslatable, fuse, traced
+from fic_jax.native.turns import recall
 from fic_jax.native.vectors import kernel
 
 PART = 4096  # scenarios that a thread takes at a time: some hundredths of a second at 1,000 steps
@@ -92,6 +93,7 @@ class Kernel:
 
         def text() -> str:
             graph, roots = traced(run, n_columns, dtype)
+            recall(graph, roots)
             fuse(graph, roots)
             branch_out(graph, roots)
             return kernel(roots, n_columns, dtype, self.lanes)

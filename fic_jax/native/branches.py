@@ -9,6 +9,7 @@ Physics is written without branches, so that it can be batched and differentiate
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 from fic_jax.native.demands import ALWAYS, NEVER, Demand, demands, implies, met, without
 from fic_jax.native.graph import ZERO, Branch, Graph, Loop, Node, Scope, live
@@ -22,8 +23,10 @@ from fic_jax.native.moves import (
     dependants,
     move,
     outs_of,
+    substitute,
     visible,
 )
+from fic_jax.native.turns import loops
 
 
 def branch_out(graph: Graph, roots: Sequence[Node]) -> None:
@@ -32,9 +35,25 @@ def branch_out(graph: Graph, roots: Sequence[Node]) -> None:
     for node in everything:
         if node.op == "select_n" and any(a.op == "phi" for a in node.args[1:]) and not node.uniform:
             everything = keep(graph, node, everything, roots)
-    for loop in dict.fromkeys(node.of for node in live(roots) if isinstance(node.of, Loop)):
+    for loop in loops(roots):
         while jump_over(graph, loop, roots):
             pass
+    merge(roots)
+    # steer(graph, roots)
+
+
+def merge(roots: Sequence[Node]) -> None:
+    """Compute once what the conditions of branches have in common, with each other or the law."""
+    known: dict[Any, Node] = {}
+    instead: dict[Node, Node] = {}
+    for node in live(roots):
+        args = [instead.get(a, a).id for a in node.args]
+        if args:
+            key = (node.op, *args, node.kind, repr(node.value), id(node.scope))
+            same = known.setdefault(key, node)
+            if same is not node:
+                instead[node] = same
+    substitute(live(roots), instead)
 
 
 def jump_over(graph: Graph, loop: Loop, roots: Sequence[Node]) -> bool:

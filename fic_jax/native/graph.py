@@ -123,13 +123,20 @@ class Graph:
 
     def node(self, op: str, args: Sequence[Node], kind: str, value: Any = None) -> Node:
         """The node of an operation."""
-        # a bool equals an integer, and -0.0 equals 0.0: told apart by their names
-        key = (op, *(a.id for a in args), kind, repr(value))
+        key = self._key(op, args, kind, value)
         if key not in self._known:
             scope = max((a.scope for a in args), key=depth, default=None)
             uniform = all(a.uniform for a in args)
             self._known[key] = Node(next(self._ids), op, tuple(args), kind, scope, uniform, value)
         return self._known[key]
+
+    def known(self, op: str, args: Sequence[Node], kind: str, value: Any = None) -> Node | None:
+        """The node of an operation, if there is one."""
+        return self._known.get(self._key(op, args, kind, value))
+
+    def _key(self, op: str, args: Sequence[Node], kind: str, value: Any) -> Any:
+        # a bool equals an integer, and -0.0 equals 0.0: told apart by their names
+        return (op, *(a.id for a in args), kind, repr(value))
 
     def forget(self, nodes: Iterable[Node]) -> None:
         """Never give these to anybody else, nor what depends on them."""

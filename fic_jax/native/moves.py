@@ -1,6 +1,7 @@
 """Taking nodes of a graph into a branch, and what has to be known for it."""
 
 from collections.abc import Collection, Iterable
+from typing import Any
 
 from fic_jax.native.graph import Branch, Graph, Node, Scope
 
@@ -21,14 +22,24 @@ def move(graph: Graph, inside: Iterable[Node], branch: Branch, nodes: Iterable[N
     instead = dict(zip(branch.outs, results, strict=True))
     gone = set(inside)
     graph.forget(gone)  # while those who use them still name them
-    for node in nodes:
-        if node not in gone and not instead.keys().isdisjoint(node.args):
-            node.args = tuple(instead.get(a, a) for a in node.args)
-    for scope in dict.fromkeys(node.of for node in nodes if node.of):
-        scope.replace(instead)
+    substitute(nodes, instead, gone)
     for node in gone:
         node.scope = branch
     return results
+
+
+def substitute(
+    nodes: Iterable[Node], instead: dict[Node, Node], but: Collection[Node] = ()
+) -> None:
+    """Have the live `nodes`, `but` some, and their loops and branches use others `instead`."""
+    scopes: dict[Any, None] = {}
+    for node in nodes:
+        if node not in but and not instead.keys().isdisjoint(node.args):
+            node.args = tuple(instead.get(a, a) for a in node.args)
+        if node.of:
+            scopes[node.of] = None
+    for scope in scopes:
+        scope.replace(instead)
 
 
 def convex(nodes: Collection[Node], everything: Iterable[Node]) -> list[Node]:

@@ -44,6 +44,11 @@ def kernel(roots: Sequence[Node], n_columns: int, dtype: np.dtype, lanes: int) -
     return _Writer(roots, dtype, lanes).function(roots, n_columns)
 
 
+def _no_bits(node: Node) -> bool:
+    """Whether a node is a constant whose bits are all 0, unlike -0."""
+    return node.op == "constant" and repr(node.value) == repr(ZERO[node.kind])
+
+
 class _Writer:
     """Builder, types, and the values of the nodes computed so far."""
 
@@ -63,6 +68,9 @@ class _Writer:
         pointer = self.real.as_pointer()
         types = [pointer, pointer, INT64, INT64, INT64, self.real]
         function = ir.Function(self.module, ir.FunctionType(ir.VoidType(), types), "run")
+        # or values that wait in memory lie across two lines of the cache, depending on the process
+        function.attributes.alignstack = 64
+        function.attributes.add("nounwind")  # llvmlite drops an alignment that stands alone
         columns, results, stride, first, last, dt = function.args
         before, turn, after = map(function.append_basic_block, ("before", "vector", "after"))
         self.b = b = ir.IRBuilder(before)
@@ -134,9 +142,12 @@ class _Writer:
         b = self.b
         results = [n for n in self.live if n.op == "result" and n.of is branch]
         instead = [self.get(branch.otherwise[r.value], uniform=False) for r in results]
-        lanes = b.bitcast(self.truth(self.get(branch.condition, False)), ir.IntType(self.lanes))
+        needed = self.truth(self.get(branch.condition, branch.condition.uniform))
+        if not branch.condition.uniform:
+            lanes = b.bitcast(needed, ir.IntType(self.lanes))
+            needed = b.icmp_unsigned("!=", lanes, lanes.type(0))
         before, then, after = b.block, *map(b.append_basic_block, ("needed", "after"))
-        b.cbranch(b.icmp_unsigned("!=", lanes, lanes.type(0)), then, after)
+        b.cbranch(needed, then, after)
         b.position_at_end(then)
         self.compute(branch.outs[r.value] for r in results)
         found = [self.get(branch.outs[r.value], uniform=False) for r in results]
@@ -233,8 +244,18 @@ class _Writer:
             compare = b.icmp_signed if kind == "i" else b.icmp_unsigned  # true is all ones
         return self.mask(compare(how, x, y))
 
-    def _select_n(self, _: Node, condition: Any, no: Any, yes: Any) -> Any:
+    def _select_n(self, node: Node, condition: Any, no: Any, yes: Any) -> Any:
+        """A blend; with zero, one bit by bit is cheaper."""
+        _, if_not, if_so = node.args
+        if _no_bits(if_not):
+            return self.bitwise(condition, yes)
+        if _no_bits(if_so):
+            return self.bitwise(self.b.not_(condition), no)
         return self.b.select(self.truth(condition), yes, no)
+
+    def bitwise(self, mask: Any, value: Any) -> Any:
+        """A value where the mask says so, 0 elsewhere."""
+        return self.b.bitcast(self.b.and_(mask, self.b.bitcast(value, mask.type)), value.type)
 
     def _fma(self, node: Node, x: Any, y: Any, z: Any) -> Any:
         product, rest = node.value.split()
@@ -309,10 +330,13 @@ class _Writer:
         shifted = b.fadd(b.fmul(x, number(1.4426950408889634)), shift)
         n = b.fsub(shifted, shift)
         r = fma(n, number(-short), fma(n, number(-long), x))
-        p = number(powers[0])
-        for c in powers[1:]:
-            p = fma(p, r, number(c))
-        p = b.fadd(fma(b.fmul(r, r), p, r), number(1.0))
+        square = b.fmul(r, r)
+        p, *pairs = (
+            fma(number(c), r, number(d)) for c, d in zip(powers[::2], powers[1::2], strict=True)
+        )
+        for pair in pairs:  # side by side: half the latency of Horner's rule
+            p = fma(p, square, pair)
+        p = b.fadd(fma(square, p, r), number(1.0))
         whole = self.alike("i", x.type)
         exponent = b.shl(b.bitcast(shifted, whole), self.constant(whole, digits))
         scaled = b.bitcast(b.add(b.bitcast(p, whole), exponent), x.type)
