@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sweeps import commit, durable, extend, ledger, owner, store
+from sweeps import commit, durable, extend, ledger, owner, runner, store
 from sweeps.spec import SweepError
+from sweeps.validation import parse
 from tests.changed import note
 from tests.test_golden import GOLDEN
 
@@ -139,3 +140,73 @@ def test_a_store_that_another_process_changed_is_not_written_to(golden):
 def test_a_file_under_way_is_no_part_of_what_is_read(golden):
     (golden / "nmse" / f"c.0.0.0{durable.PARTIAL}").write_bytes(b"half")
     assert store.dataset(golden)["nmse"].shape == store.open_store(golden).grid.shape
+
+
+CASES = """
+name = "begun"
+metrics = ["nmse"]
+[cases]
+Denv = [0.0, 63.2]
+gap = [0.0, 0.1]
+"""
+DRAWN = """
+name = "begun"
+metrics = ["nmse"]
+[sample]
+n = 8
+method = "lhs"
+ranges = { Td = { lin = [1.0, 5.0] }, K0 = { log = [1.0, 100.0] } }
+"""
+SAMPLE = DRAWN[DRAWN.index("[sample]") :]
+ADDED = "`sample` can't be added: its scenarios are not those of the store."
+STAY = "`Denv` must stay where it is in the store's sweep."
+ORDER = "`sample.ranges` must be in the store's order: a range is drawn by its place."
+NOT_LARGER = {
+    "other metrics": (
+        CASES,
+        CASES.replace("nmse", "energy_in"),
+        ["`metrics` must be those of the store, ['nmse']."],
+    ),
+    "two things": (
+        CASES,
+        "error_estimate = true" + CASES.replace('"nmse"', '"nmse", "energy_in"'),
+        [
+            "`error_estimate` must be that of the store, False.",
+            "`metrics` must be those of the store, ['nmse'].",
+        ],
+    ),
+    "lacks the default": (
+        CASES,
+        CASES + "[axes]\nK0 = [10.0, 20.0]",
+        ["`K0` must contain K0 = 100.0, which the store was run with."],
+    ),
+    "case to axis": (
+        CASES,
+        CASES.replace("Denv = [0.0, 63.2]\n", "") + "[axes]\nDenv = [0.0, 63.2]",
+        [STAY],
+    ),
+    "case to nothing": (CASES, CASES.replace("Denv = [0.0, 63.2]\n", ""), [STAY]),
+    "a sample of cases": (CASES, CASES + SAMPLE, [ADDED]),
+    "length of a hypercube": (
+        DRAWN,
+        DRAWN.replace("n = 8", "n = 9"),
+        ["`sample.n` can't be changed with lhs: every scenario depends on it."],
+    ),
+    "order of ranges": (
+        DRAWN,
+        DRAWN.replace("Td = { lin = [1.0, 5.0] }, ", "").replace(
+            "100.0] } }", "100.0] }, Td = { lin = [1.0, 5.0] } }"
+        ),
+        [ORDER],
+    ),
+}
+
+
+@pytest.mark.parametrize(("begun", "asked", "told"), NOT_LARGER.values(), ids=NOT_LARGER)
+def test_a_sweep_that_lacks_what_the_store_has_is_refused(tmp_path, begun, asked, told):
+    made = runner.start(tmp_path / "begun.zarr", parse(begun, "begun.toml"), None, 32)
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(SweepError) as refused:
+        extend.extend(made, parse(asked, "larger.toml"), "larger.toml")
+    assert str(refused.value).splitlines() == [f"larger.toml: {line}" for line in told]
+    assert sorted(tmp_path.rglob("*")) == before
