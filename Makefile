@@ -10,7 +10,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SWEEPS := paper-welded paper-contact period-map atlas-small
 
-# every branch of what a sweep's numbers hang on; of the rest what needs no command and no fault
+# every branch of what a sweep's numbers hang on; of the rest all but a few
 WHOLE := durable ledger owner commit store grid
 NEARLY := layout runner verify extend design
 STORE_TESTS := $(patsubst %,tests/test_%.py,store validation golden untrusted state_machine branches)
@@ -44,7 +44,7 @@ torture: $(VENV)/installed
 coverage: $(VENV)/installed
 	$(BIN)/pytest --cov --cov-report= $(STORE_TESTS)
 	$(BIN)/coverage report --fail-under=100 --include=$(call modules,$(WHOLE))
-	$(BIN)/coverage report --fail-under=93 --include=$(call modules,$(NEARLY))
+	$(BIN)/coverage report --fail-under=98 --include=$(call modules,$(NEARLY))
 
 picture:
 	@[ -e results/atlas-small.zarr ] || $(MAKE) sweep

@@ -81,8 +81,13 @@ def _differences(old: Sweep, new: Sweep) -> Iterator[str]:
         for key in ("method", "seed", "ranges"):
             if getattr(old.sample, key) != getattr(new.sample, key):
                 yield f"`sample.{key}` must be that of the store: another one is another sample."
+        ranges, asked = old.sample.ranges, new.sample.ranges
+        if ranges == asked and list(ranges) != list(asked):
+            yield "`sample.ranges` must be in the store's order: a range is drawn by its place."
         if old.sample.method == "lhs" and old.sample.n != new.sample.n:
             yield "`sample.n` can't be changed with lhs: every scenario depends on it."
+    elif new.sample:
+        yield "`sample` can't be added: its scenarios are not those of the store."
 
 
 def _losses(old: Grid, new: Grid) -> Iterator[str]:
@@ -95,18 +100,20 @@ def _losses(old: Grid, new: Grid) -> Iterator[str]:
         if name in after and after[name] != value:
             yield f"`{name}` must stay {value}, as in the store, or be an axis with {value} in it."
     for dim in new.dims:
-        swept = [n for n in _along(new, dim) if n not in before and n not in _along(old, dim)]
-        if swept:
-            yield f"`{swept[0]}` must stay where it is in the store's sweep."
+        here, known = _along(new, dim), _along(old, dim)
+        moved = [n for n in here if n not in before and n not in known]
+        moved += [n for n in known if n not in here]
+        if moved:
+            yield f"`{moved[0]}` must stay where it is in the store's sweep."
             return
         there = set(_places(old, new, dim).tolist()) - {-1}
         lost = sorted(set(range(old.dims.get(dim, 1))) - there)
         if lost and dim in old.dims:
-            place = {n: v[lost[0]] for n, v in _along(old, dim).items()}
+            place = {n: v[lost[0]] for n, v in known.items()}
             told = ", ".join(f"{n} = {v}" for n, v in place.items())
             yield f"`{dim}` must keep what the store has, but lacks {told}."
         elif lost:
-            told = ", ".join(f"{n} = {before[n]}" for n in _along(new, dim))
+            told = ", ".join(f"{n} = {before[n]}" for n in here)
             yield f"`{dim}` must contain {told}, which the store was run with."
 
 
@@ -124,13 +131,9 @@ def _fixed(grid: Grid) -> dict[str, Any]:
     """Fields and choices that do not vary, with their values."""
     model, constants = grid.sweep.model, grid.sweep.constants
     fixed = {name: getattr(Model(), name) for name in CHOICES} | dict(model)
-    fixed |= vars(Params()) | dict(constants) | {"scenario": 0}
-    swept = {name for dim in grid.dims for name in _swept(grid, dim)}
+    fixed |= vars(Params()) | dict(constants)
+    swept = {name for dim in grid.dims for name in grid.coordinates(dim, slice(0, 1))}
     return {name: value for name, value in fixed.items() if name not in swept}
-
-
-def _swept(grid: Grid, dim: str) -> set[str]:
-    return {dim} | set(grid.coordinates(dim, slice(0, 1)))
 
 
 def _places(old: Grid, new: Grid, dim: str) -> np.ndarray:

@@ -629,18 +629,6 @@ def test_killed_processes_lose_nothing(tmp_path, forks):
     assert phases["before its first block"] and phases["after its end"]
 
 
-def test_a_damaged_store_is_not_extended(memory, stores, quick):
-    """Two whole files in each other's place would pass for the numbers of other scenarios."""
-    with case(memory, stores.folder / "small") as path:
-        (path / "nmse/c.0").rename(path / "nmse/kept")
-        (path / "nmse/c.1").rename(path / "nmse/c.0")
-        (path / "nmse/kept").rename(path / "nmse/c.1")
-        with pytest.raises(SweepError, match="2 files of finished blocks are not as written"):
-            enlarge(path)
-        assert open_store(path).grid.cells == 3
-        assert os.listdir(path.parent) == [path.name]
-
-
 def test_a_store_that_became_another_is_refused(memory, stores, quick):
     """It was opened, then another process extended it."""
     with case(memory, stores.folder / "small") as path:

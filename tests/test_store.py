@@ -9,9 +9,9 @@ import pytest
 import xarray as xr
 
 import fic_jax
-from sweeps import layout, messages, runner, store
+from sweeps import layout, ledger, messages, runner, store
 from sweeps.export import tables, write
-from sweeps.grid import Grid
+from sweeps.grid import Grid, cells_of
 from sweeps.spec import SweepError
 from sweeps.validation import parse
 from tests.changed import note
@@ -145,6 +145,40 @@ def test_interrupted_run_keeps_finished_blocks_and_resume_does_the_rest(tmp_path
     again = runner.reopen(path, 32)
     assert runner.run(again, quiet).ran == 0
     assert again.group.attrs["end"]
+
+
+def test_a_block_that_fails_is_tried_again_after_all_others_and_set_aside_in_the_end(
+    tmp_path, plan, whole, monkeypatch
+):
+    """Block 3 fails once, block 1 always; the sweep goes on without it, and a resume has both."""
+    path, compute, tried = tmp_path / "failing.zarr", runner._compute, []
+    made = runner.start(path, plan, 7, 32)
+    blocks = list(made.grid.blocks())
+
+    def failing(grid, block, *rest):
+        index = blocks.index(block)
+        tried.append(index)
+        if index == 1 or (index == 3 and tried.count(3) == 1):
+            raise MemoryError(f"no room for block {index}\nand a second line")
+        return compute(grid, block, *rest)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(runner, "_compute", failing)
+        result = runner.run(made, quiet)
+    assert tried == [*range(len(blocks)), 1, 3, 1]
+    (aside,) = result.set_aside
+    assert (aside.block, aside.outcome, aside.attempt) == (1, ledger.SET_ASIDE, runner.ATTEMPTS)
+    assert aside.error == "MemoryError: no room for block 1"
+    lost = cells_of(blocks[1])
+    assert (result.done, result.ran) == (60 - lost, 60 - lost)
+    with xr.open_zarr(path, chunks=None) as data:
+        status = data["status"].values
+        assert np.all(status[blocks[1]] == store.FAILED)
+        assert (status == store.OK).sum() == 60 - lost
+        assert "end" not in data.attrs
+    again = runner.run(runner.reopen(path, 32), quiet)
+    assert (again.done, again.ran, again.set_aside) == (60, lost, ())
+    assert bits(path) == bits(whole)
 
 
 def test_resume_refuses_another_program(tmp_path, plan):
@@ -365,6 +399,20 @@ def test_a_dry_run_accounts_for_estimates(doubted):
     long = parse(ESTIMATED, "f", ("t_end=100",))
     plain = parse(ESTIMATED, "f", ("t_end=100", "error_estimate=false"))
     assert Grid(long).block_cells < Grid(plain).block_cells  # a block stays a second or two
+
+
+def test_a_long_coordinate_is_written_piece_by_piece(tmp_path, monkeypatch):
+    """Each piece drawn by itself, the last one shorter."""
+    text = (
+        'name = "drawn"\nmetrics = ["nmse"]\n[model]\ncontact = ["welded", "hard_stop"]\n'
+        "[sample]\nn = 10\nranges = { Td = { lin = [1.0, 5.0] }, K0 = { log = [1.0, 9.0] } }"
+    )
+    once = runner.start(tmp_path / "once.zarr", parse(text, "f"), None, 32).path
+    for module in (layout, store):
+        monkeypatch.setattr(module, "COORDINATE_CHUNK", 4)
+    pieces = runner.start(tmp_path / "pieces.zarr", parse(text, "f"), None, 32).path
+    assert sorted(file.name for file in (pieces / "Td").glob("c.*")) == ["c.0", "c.1", "c.2"]
+    assert bits(pieces) == bits(once)
 
 
 def test_exports_carry_estimates_in_order(tmp_path, doubted, estimated):
