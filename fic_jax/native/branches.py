@@ -13,7 +13,7 @@ from typing import Any
 
 from fic_jax.native.demands import ALWAYS, NEVER, Demand, demands, implies, met, without
 from fic_jax.native.graph import ZERO, Branch, Graph, Loop, Node, Scope, live
-from fic_jax.native.latched import keep
+from fic_jax.native.latched import keep, parted
 from fic_jax.native.moves import (
     BULK,
     COSTLY,
@@ -36,7 +36,8 @@ def branch_out(graph: Graph, roots: Sequence[Node]) -> None:
         if node.op == "select_n" and any(a.op == "phi" for a in node.args[1:]) and not node.uniform:
             everything = keep(graph, node, everything, roots)
     for loop in loops(roots):
-        while jump_over(graph, loop, roots):
+        apart: set[Node] = set()
+        while jump_over(graph, loop, roots, apart):
             pass
     merge(roots)
     # steer(graph, roots)
@@ -56,8 +57,11 @@ def merge(roots: Sequence[Node]) -> None:
     substitute(live(roots), instead)
 
 
-def jump_over(graph: Graph, loop: Loop, roots: Sequence[Node]) -> bool:
-    """Move the costliest nodes of one demand in a loop into a branch, if there are any left."""
+def jump_over(graph: Graph, loop: Loop, roots: Sequence[Node], apart: set[Node]) -> bool:
+    """Move the costliest nodes of one demand in a loop into a branch, if there are any left.
+
+    Those `apart` have been copied for users who want them under conditions known later.
+    """
     everything = live(roots)
     nodes, wanted = demands(everything, loop)
     for scope, demand, own in candidates(nodes, wanted):
@@ -68,6 +72,11 @@ def jump_over(graph: Graph, loop: Loop, roots: Sequence[Node]) -> bool:
         if known != demand:  # others are better off with what is known of their own demand
             inside = convex([n for n in there if wanted[n] in own], everything)
             known = without(demand, hidden | dependants(inside, everything))
+        dear = any(cost(n) >= COSTLY for n in inside)
+        if known != demand and dear and apart.isdisjoint(inside):
+            apart.update(inside, copies := parted(graph, inside, everything, loop))
+            if copies:
+                return True
         if implies(met_in(scope), known):
             continue
         condition = met(graph, known)

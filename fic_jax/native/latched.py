@@ -79,12 +79,15 @@ def parted(
         if node in inside:
             continue
         part = either(NEVER, *(d for used, d in uses(node, wanted[node]) if used in inside))
-        if any(condition in later for product in part for condition, _ in product):
+        knows_later = any(condition in later for product in part for condition, _ in product)
+        if knows_later and node.args:  # not what a branch hands out
             late.append((node, part))
         else:
             at_once = either(at_once, part)
-    if at_once == NEVER or implies(
-        without(either(at_once, *(part for _, part in late)), later), at_once
+    if (
+        at_once == NEVER
+        or not late
+        or implies(without(either(at_once, *(part for _, part in late)), later), at_once)
     ):
         return []
     graph.forget(inside)  # or the copy would be the same nodes
