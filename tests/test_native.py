@@ -15,7 +15,9 @@ import pytest
 
 from fic_jax import METRICS, Model, Params, engine, native, sweep
 from fic_jax.native import Kernel, branches
-from fic_jax.native.graph import Branch, Loop, Untranslatable, fuse, live, traced
+from fic_jax.native.graph import Branch, Loop, Untranslatable, live
+from fic_jax.native.rounding import fuse
+from fic_jax.native.tracing import traced
 from fic_jax.native.vectors import kernel
 from fic_jax.params import QUANTITIES
 from tests import faults
@@ -294,7 +296,8 @@ import hashlib, sys
 import jax
 import numpy as np
 from fic_jax.native.branches import branch_out
-from fic_jax.native.graph import fuse, traced
+from fic_jax.native.rounding import fuse
+from fic_jax.native.tracing import traced
 from fic_jax.native.vectors import kernel
 from tests.programs import N_COLUMNS, program
 jax.config.update("jax_enable_x64", True)
