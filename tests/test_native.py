@@ -14,8 +14,12 @@ import numpy as np
 import pytest
 
 from fic_jax import METRICS, Model, Params, engine, native, sweep
-from fic_jax.native import Kernel, branches
-from fic_jax.native.graph import Branch, Loop, Untranslatable, fuse, live, traced
+from fic_jax.native import Kernel
+from fic_jax.native.branches import branch_out
+from fic_jax.native.graph import Branch, Loop, Untranslatable, live
+from fic_jax.native.rounding import fuse
+from fic_jax.native.tracing import traced
+from fic_jax.native.turns import recall
 from fic_jax.native.vectors import kernel
 from fic_jax.params import QUANTITIES
 from tests import faults
@@ -228,6 +232,75 @@ def test_numbers_of_other_types_have_none():
         Kernel(lambda c, dt: [c[0].astype(float)], 1, 1, np.dtype(np.float32), 1, "")
 
 
+# ---- What the last turn left ---------------------------------------------------------------------
+
+
+def left(x, k):
+    return 1.9 * jnp.exp(-k * x * x)
+
+
+def turns(start, joined=jnp.maximum, held=jnp.copy):
+    """A loop whose turn begins by computing what the last one has left, if it did so at first."""
+
+    def turn(_, s):
+        x = joined(0.5 * s[0], left(s[0], s[1]))
+        return x, held(s[1]), left(x, s[1])
+
+    return lambda c, dt: jax.lax.fori_loop(0, 4, turn, (c[0], c[1], start(c[0], c[1])))
+
+
+def loop_of(nodes):
+    (loop,) = {n.of for n in nodes if isinstance(n.of, Loop)}
+    return loop
+
+
+def computed_with_and_without_recall(run, monkeypatch):
+    x, k = np.linspace(-2.0, 2.0, 40), np.linspace(0.1, 0.5, 40)
+    found = computed(run, np.dtype(float), x, k)
+    monkeypatch.setattr(native, "recall", lambda graph, roots: None)
+    return found, computed(run, np.dtype(float), x, k)
+
+
+# A copy is a value that the loop hands itself; without one, JAX takes it out of what is carried.
+@pytest.mark.parametrize("held", [jnp.copy, lambda k: k], ids=["carried", "around"])
+@pytest.mark.parametrize(
+    ("joined", "units"),
+    # A product that is kept is rounded. In a sum that alone uses it, it would not be: one rounding
+    # less in each of four turns, each of which at most doubles what the last one was off.
+    [(jnp.maximum, 0), (jnp.add, 16)],
+    ids=["bit for bit", "to rounding"],
+)
+def test_a_turn_takes_what_the_last_one_left(joined, units, held, monkeypatch):
+    run = turns(left, joined, held)
+    graph, roots = traced(run, 2, np.dtype(float))
+    loop = loop_of(live(roots))
+    assert any(phi is out for phi, out in zip(loop.phis, loop.outs, strict=True)) == (
+        held is jnp.copy
+    )
+    recall(graph, roots)
+    assert [n.scope for n in live(roots) if n.op == "exp"].count(loop) == 1
+    found, anew = computed_with_and_without_recall(run, monkeypatch)
+    np.testing.assert_allclose(found, anew, rtol=units * np.finfo(float).eps, atol=0.0)
+
+
+@pytest.mark.parametrize(
+    "start",
+    [
+        lambda x, k: 3.0 * jnp.exp(-k * x * x),
+        lambda x, k: left(k, x),
+        lambda x, k: left(x, x),
+        lambda x, k: x,
+    ],
+    ids=["another number", "swapped", "another operand", "no operation"],
+)
+def test_a_turn_takes_nothing_that_was_not_so_at_first(start, monkeypatch):
+    graph, roots = traced(turns(start), 2, np.dtype(float))
+    recall(graph, roots)
+    nodes = live(roots)
+    assert [n.scope for n in nodes if n.op == "exp"].count(loop_of(nodes)) == 2
+    assert_same(*computed_with_and_without_recall(turns(start), monkeypatch))
+
+
 # ---- Any program ---------------------------------------------------------------------------------
 
 
@@ -294,13 +367,16 @@ import hashlib, sys
 import jax
 import numpy as np
 from fic_jax.native.branches import branch_out
-from fic_jax.native.graph import fuse, traced
+from fic_jax.native.rounding import fuse
+from fic_jax.native.tracing import traced
+from fic_jax.native.turns import recall
 from fic_jax.native.vectors import kernel
 from tests.programs import N_COLUMNS, program
 jax.config.update("jax_enable_x64", True)
 told = hashlib.sha256()
 for seed in range(12):
     graph, roots = traced(program(seed), N_COLUMNS, np.dtype(float))
+    recall(graph, roots)
     fuse(graph, roots)
     branch_out(graph, roots)
     told.update(kernel(roots, N_COLUMNS, np.dtype(float), 4).encode())
@@ -388,20 +464,72 @@ def test_the_kernel_agrees_with_the_scan_to_rounding(arranged, model):
             assert np.mean(close) > 0.98, name
 
 
+def branched(model=Model()):
+    """What the results of a scenario's kernel are written from."""
+    graph, roots = traced(engine._scenario(model, 50, False, 1), len(QUANTITIES), DTYPES[0])
+    recall(graph, roots)
+    fuse(graph, roots)
+    branch_out(graph, roots)
+    return roots
+
+
 def test_the_default_law_jumps_over_its_exponentials():
     """One branch for the slopes of a latched peak, one for each of RK4's stages."""
-    graph, roots = traced(engine._scenario(Model(), 50, False, 1), len(QUANTITIES), DTYPES[0])
-    fuse(graph, roots)
-    branches.branch_out(graph, roots)
-    nodes = live(roots)
-    (loop,) = {n.of for n in nodes if isinstance(n.of, Loop)}
+    nodes = live(branched())
+    loop = loop_of(nodes)
     found = {n.of for n in nodes if isinstance(n.of, Branch) and n.of.outer is loop}
     assert len(found) == 5
     assert not [n for n in nodes if n.op in ("exp", "div") and n.scope is loop]
 
 
-def scenario(model=Model()):
-    return engine._scenario(model, 50, False, 1)
+@pytest.mark.parametrize("model", [Model(), Model(integrator="rk4_events")], ids=str)
+def test_no_scope_of_the_law_computes_anything_twice(model):
+    nodes = [n for n in live(branched(model)) if n.args]
+    told = {(n.scope, n.op, n.args, n.kind, repr(n.value)) for n in nodes}
+    assert len(told) == len(nodes)
+
+
+def test_the_exponential_at_the_start_of_a_step_waits_for_all_that_is_known():
+    """What the point ahead says of it is known later: for that, it is copied.
+
+    One for both would only wait for the branch of Algorithm 1.
+    """
+    nodes = live(branched(Model(integrator="rk4_events")))
+    names = list(QUANTITIES)
+    given = {names[n.value]: n for n in nodes if n.op == "input" and n.value < len(names)}
+    x0, xb = given["x0"], given["xb"]
+    (diverging,) = (n for n in nodes if n.op == "le" and at_start(n.args[0]))
+    error = diverging.args[0].args[0]
+    products = [
+        [condition.args for condition, _ in product]
+        for n in nodes
+        if n.op == "exp" and measured(n) is error
+        for product in n.scope.demand
+    ]
+    for compared in products:
+        assert {x0, xb} <= {args[-1] for args in compared}
+    (size,) = (n for n in nodes if n.op == "abs" and n.args[0] is error)
+    assert any({(size, x0), (size, xb)} <= set(compared) for compared in products)
+
+
+def at_start(node):
+    """Whether a node is the error times the velocity, both as the step finds them."""
+    return node.op == "mul" and node.args[0].op == "sub" and node.args[1].op == "phi"
+
+
+def measured(node):
+    """What the size is of that an exponential depends on most directly."""
+    waiting = [node]
+    for nearest in waiting:
+        if nearest.op == "abs":
+            return nearest.args[0]
+        waiting += [nearest.of.outs[nearest.value]] if nearest.op == "result" else nearest.args
+    return None
+
+
+def test_a_kernel_aligns_its_stack():
+    """Or values that wait in memory lie across two lines of the cache, in some processes."""
+    assert "alignstack(64)" in kernel(branched(), len(QUANTITIES), DTYPES[0], 8)
 
 
 @pytest.mark.parametrize(
@@ -417,10 +545,7 @@ def test_other_processors_have_instructions_for_it(triple, cpu, lanes):
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     machine = llvm.Target.from_triple(triple).create_target_machine(cpu=cpu, opt=3)
-    graph, roots = traced(scenario(), len(QUANTITIES), DTYPES[0])
-    fuse(graph, roots)
-    branches.branch_out(graph, roots)
-    module = llvm.parse_assembly(kernel(roots, len(QUANTITIES), DTYPES[0], lanes))
+    module = llvm.parse_assembly(kernel(branched(), len(QUANTITIES), DTYPES[0], lanes))
     module.verify()
     module.triple, module.data_layout = triple, str(machine.target_data)
     calls = machine.emit_assembly(module).count("call")

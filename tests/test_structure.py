@@ -29,6 +29,8 @@ ARROWS = {
     "fic_jax.kernel": set(),
     "fic_jax.blocks": {"fic_jax.kernel"},
     "fic_jax.native.graph": set(),
+    "fic_jax.native.tracing": {"fic_jax.native.graph"},
+    "fic_jax.native.rounding": {"fic_jax.native.graph"},
     "fic_jax.native.demands": {"fic_jax.native.graph"},
     "fic_jax.native.moves": {"fic_jax.native.graph"},
     "fic_jax.native.turns": {f"fic_jax.native.{n}" for n in ("graph", "moves")},
@@ -36,10 +38,12 @@ ARROWS = {
     "fic_jax.native.branches": {
         f"fic_jax.native.{n}" for n in ("graph", "demands", "moves", "latched", "turns")
     },
-    "fic_jax.native.vectors": {"fic_jax.native.graph"},
+    "fic_jax.native.operations": {"fic_jax.native.graph"},
+    "fic_jax.native.vectors": {f"fic_jax.native.{n}" for n in ("graph", "operations")},
     "fic_jax.native.code": {"fic_jax", "fic_jax._version"},  # where it lies
     "fic_jax.native": {
-        f"fic_jax.native.{n}" for n in ("graph", "branches", "vectors", "code", "turns")
+        f"fic_jax.native.{n}"
+        for n in ("graph", "tracing", "turns", "rounding", "branches", "vectors", "code")
     },
     "fic_jax.engine": {
         f"fic_jax.{n}" for n in ("params", "metrics", "accuracy", "blocks", "native")

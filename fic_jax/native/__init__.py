@@ -16,7 +16,9 @@ import numpy as np
 
 from fic_jax.native.branches import branch_out
 from fic_jax.native.code import Function, kept, register_bytes, this_processor
-from fic_jax.native.graph import Untranslatable, fuse, traced
+from fic_jax.native.graph import Untranslatable
+from fic_jax.native.rounding import fuse
+from fic_jax.native.tracing import traced
 from fic_jax.native.turns import recall
 from fic_jax.native.vectors import kernel
 

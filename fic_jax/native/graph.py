@@ -1,7 +1,6 @@
-"""A traced scenario as a graph of scalar operations, ready to become a kernel.
+"""The graph of a scenario's operations on scalars, with its loops and branches.
 
-Calls are inlined, equal operations become one, and an operation lies in the outermost loop its
-operands allow.
+Equal operations are one, and an operation lies in the outermost loop its operands allow.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -9,11 +8,8 @@ from dataclasses import dataclass, field
 from itertools import count
 from typing import Any
 
-import jax
 import numpy as np
 
-SAME = ("copy", "copy_p", "stop_gradient")  # primitives that change no number
-CALLS = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call")
 ZERO = {"f": 0.0, "i": 0, "b": False}  # of each kind of number
 
 
@@ -164,113 +160,6 @@ class Graph:
         if np.ndim(value):
             raise Untranslatable(f"an array of shape {np.shape(value)}")
         return self.node("constant", (), kind, np.asarray(value).item())
-
-    def kind(self, dtype: np.dtype) -> str:
-        """f, i or b. All have the width of the numbers: whole ones are counts of less than 2^31."""
-        if dtype not in (self.dtype, np.int32, np.int64, np.bool_):
-            raise Untranslatable(f"{dtype} among {self.dtype}")
-        return str(dtype.kind)
-
-    def inlined(self, jaxpr: Any, args: Sequence[Node], scope: Scope | None) -> list[Node]:
-        """The nodes of a closed jaxpr's results."""
-        inner = jaxpr.jaxpr
-        nodes = dict(zip(inner.invars, args, strict=True))
-
-        def read(atom: Any) -> Node:
-            number = hasattr(atom, "val")
-            return self.constant(atom.val, atom.aval.dtype.kind) if number else nodes[atom]
-
-        for var, value in zip(inner.constvars, jaxpr.consts, strict=True):
-            nodes[var] = self.constant(value, self.kind(var.aval.dtype))
-
-        for eqn in inner.eqns:
-            operands = [read(a) for a in eqn.invars]
-            nodes |= zip(eqn.outvars, self._translated(eqn, operands, scope), strict=True)
-        return [read(a) for a in inner.outvars]
-
-    def _translated(self, eqn: Any, args: list[Node], scope: Scope | None) -> list[Node]:
-        name, params = eqn.primitive.name, eqn.params
-        if name in SAME:
-            return args
-        if name in CALLS:
-            return self.inlined(params.get("jaxpr") or params["call_jaxpr"], args, scope)
-        if name == "scan":
-            return self._looped(eqn, args, scope)
-        chosen = name == "select_n" and (len(args) > 3 or args[0].kind != "b")
-        if len(eqn.outvars) != 1 or chosen:
-            raise Untranslatable(f"the operation {name} with {len(args)} operands")
-        kind = self.kind(eqn.outvars[0].aval.dtype)
-        if name == "convert_element_type":
-            return args if args[0].kind == kind else [self.node("convert", args, kind)]
-        return [self.node(name, args, kind, params.get("y"))]
-
-    def _looped(self, eqn: Any, args: list[Node], outer: Scope | None) -> list[Node]:
-        """The results of a `fori_loop` of known length, which JAX traces as a scan."""
-        params, n = eqn.params, len(eqn.outvars)
-        if any(atom.aval.ndim for atom in (*eqn.invars, *eqn.outvars)):
-            raise Untranslatable("a scan over arrays")
-        if not 0 < params["length"] < 2**31:
-            raise Untranslatable(f"a loop of {params['length']} turns")
-        consts, inits = args[:-n], args[-n:]
-        assumed: list[bool] | None = None
-        found = [init.uniform for init in inits]
-        while found != assumed:  # what is assumed of the carry has to hold after a turn as well
-            assumed, loop = found, Loop(outer, length=params["length"], inits=inits)
-            loop.phis = [
-                self.place("phi", init.kind, i, uniform=same, scope=loop, of=loop)
-                for i, (init, same) in enumerate(zip(inits, assumed, strict=True))
-            ]
-            loop.outs = self.inlined(params["jaxpr"], [*consts, *loop.phis], loop)
-            found = [u and out.uniform for u, out in zip(assumed, loop.outs, strict=True)]
-        return [
-            self.place("result", phi.kind, i, uniform=phi.uniform, scope=outer, of=loop)
-            for i, phi in enumerate(loop.phis)
-        ]
-
-
-def traced(run: Callable[..., Any], n: int, dtype: np.dtype) -> tuple[Graph, list[Node]]:
-    """Graph and results of `run(column, dt)` for one scenario of n quantities.
-
-    Raises Untranslatable.
-    """
-    scalar = jax.ShapeDtypeStruct((), dtype)
-    jaxpr = jax.make_jaxpr(run)([scalar] * n, scalar)
-    graph = Graph(dtype)
-    inputs = [graph.place("input", "f", i, uniform=i == n) for i in range(n + 1)]
-    return graph, graph.inlined(jaxpr, inputs, None)
-
-
-def fuse(graph: Graph, roots: Iterable[Node]) -> None:
-    """Make a product and the sum it is only used in one rounding, where the processor can.
-
-    Told here, and not left to the compiler: whether it sees both would depend on the branches.
-    """
-    nodes = live(roots)
-    uses = dict.fromkeys(roots, 1)
-    steps: dict[Node, int] = {}  # operations that have to come before
-    for node in nodes:
-        steps[node] = 1 + max((steps[a] for a in node.before() if a in steps), default=0)
-        for used in (*node.args, *(node.of.makes(node.value) if node.of else ())):
-            uses[used] = uses.get(used, 0) + 1
-    for node in nodes:
-        if node.op not in ("add", "sub") or node.kind != "f":
-            continue
-        products = [
-            (steps[a], i)
-            for i, a in enumerate(node.args)
-            if uses[a] == 1 and a.scope is node.scope and _factors(a)
-        ]
-        if products:
-            _, i = max(products)  # the one that is there last
-            signs = {"add": "+ +", "sub": ("+ -", "- +")[i]}[node.op]
-            graph.forget([node])
-            node.op, node.value = "fma", signs
-            node.args = (*_factors(node.args[i]), node.args[1 - i])
-
-
-def _factors(node: Node) -> tuple[Node, ...]:
-    square = node.op == "square" or (node.op == "integer_pow" and node.value == 2)
-    return node.args if node.op == "mul" else 2 * node.args if square else ()
 
 
 def live(roots: Iterable[Node]) -> list[Node]:
