@@ -87,7 +87,7 @@ def torque(
     within = attractor.effort_slope if model.law == "effort" else attractor.energy_slope
     beyond = attractor.energy_slope if model.law == "energy" else attractor.effort_slope
     # All but the bend between x0 and xb are straight lines: beyond xb, diverging, one so steep that
-    # the limit makes +-Fmax of it.
+    # the limit makes +-Fmax of it (where e, unlike `side`, is not within x0/2).
     within = jnp.where(attractor.diverging, p.K0, within)
     beyond = jnp.where(attractor.diverging, 2.0 * p.Fmax / p.x0, beyond)
     centre = jnp.where(attractor.diverging, 0.0, 0.5 * attractor.e_M)

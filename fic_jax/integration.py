@@ -31,7 +31,10 @@ BAND_EDGE = (1.0 - 1e-7) * REST_BAND
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Motion:
-    """Position and velocity, and the work the controller has done in this plant step."""
+    """Position and velocity, and the work the controller has done in this plant step.
+
+    Also what belongs to each of the three: slopes (rad/s, N*m, W) and spans (s, s/(kg*m^2), s).
+    """
 
     x: Scalar  # rad
     v: Scalar  # rad/s
@@ -90,8 +93,8 @@ def stages(
 def end_of(start: Motion, slopes: Slopes, span: Motion) -> Motion:
     """Where the slopes lead over `span`, to fourth order."""
 
-    def quadrature(y: Scalar, h: Scalar, *k: Scalar) -> Scalar:
-        return y + (1.0 / 6.0) * h * (k[0] + 2.0 * k[1] + 2.0 * k[2] + k[3])
+    def quadrature(y: Scalar, h: Scalar, k1: Scalar, k2: Scalar, k3: Scalar, k4: Scalar) -> Scalar:
+        return y + (1.0 / 6.0) * h * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
 
     return jax.tree.map(quadrature, start, span, *slopes)
 
@@ -157,8 +160,8 @@ def until_switch(
     First v, as x only turns where v is 0: until then each x comes but once. A v that crosses 0
     and is back within the segment is not seen.
     """
-    path = Path.of(start, slopes, spans(p, h))
-    end = end_of(start, slopes, spans(p, h))
+    span = spans(p, h)
+    path, end = Path.of(start, slopes, span), end_of(start, slopes, span)
     v_next, stops = _first(_speed_levels(model), start.v, end.v)
     whole = jnp.ones_like(start.v)
     turn = jnp.where(stops, path.part_at("v", v_next - start.v, end.v - start.v, whole), whole)
@@ -210,8 +213,8 @@ class Path:
             return (2.0 / 3.0) * h * (a - b - c + d)
 
         linear = jax.tree.map(lambda h, a: h * a, span, slopes[0])
-        curved = (jax.tree.map(of, span, *slopes) for of in (square, cubic))
-        return cls(start, linear, *curved)
+        squares = jax.tree.map(square, span, *slopes)
+        return cls(start, linear, squares, jax.tree.map(cubic, span, *slopes))
 
     def at(self, part: Scalar) -> Motion:
         """The motion at a part of the step."""

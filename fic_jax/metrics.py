@@ -74,7 +74,7 @@ class Accumulator:
     error: Sum  # of eps over the half going on
     outside: Scalar  # samples up to and including the last one outside the settling band
     highest: Scalar  # N*m, largest T, at least 0
-    lowest: Scalar  # N*m, smallest T, at most 0
+    lowest: Scalar  # N*m, smallest T, at most 0; a hard stop never pulls, so it is not followed
     before_touch: Scalar  # samples before the first one in contact
     touched: Scalar  # samples in contact
     switches: Scalar
@@ -116,8 +116,8 @@ def update(
         square=acc.square.restarted(tail_begins).plus(eps**2),
         error=acc.error.restarted(tail_begins).plus(eps),
         outside=jnp.where(settled, acc.outside, k + 1),
-        highest=jnp.maximum(acc.highest, sample.tau_env),
-        lowest=jnp.minimum(acc.lowest, sample.tau_env) if pulls else acc.lowest,
+        highest=jnp.maximum(sample.tau_env, acc.highest),  # in this order 0 stays 0, not -0
+        lowest=jnp.minimum(sample.tau_env, acc.lowest) if pulls else acc.lowest,
         before_touch=jnp.where(touched > 0, acc.before_touch, k + 1),
         touched=touched,
         switches=_count(acc.switches, switched),

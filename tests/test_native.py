@@ -90,6 +90,12 @@ NUMBERS = {
     "power": lambda x, y: x**2,
     "cube": lambda x, y: x**3,
     "where": lambda x, y: jnp.where(x < y, x, y),
+    "or zero": lambda x, y: jnp.where(x < y, x, 0.0),
+    "zero or": lambda x, y: jnp.where(x < y, 0.0, x),
+    "or minus zero": lambda x, y: 1.0 / jnp.where(x < y, x, -0.0),  # which zero, infinity tells
+    "minus zero or": lambda x, y: 1.0 / jnp.where(x < y, -0.0, x),
+    "or none": lambda x, y: jnp.where(x < y, 2 * (x > 0).astype(jnp.int32), 0).astype(x.dtype),
+    "or not": lambda x, y: ones(jnp.where(x < y, x > 0, False), x),
     "le": lambda x, y: ones(x <= y, x),
     "ge": lambda x, y: ones(x >= y, x),
     "eq": lambda x, y: ones(x == y, x),
@@ -462,6 +468,13 @@ def test_the_kernel_agrees_with_the_scan_to_rounding(arranged, model):
             # one scenario in a hundred stands on a switch to rounding
             close = np.isclose(got, expected, rtol=1e-7, atol=1e-9, equal_nan=True)
             assert np.mean(close) > 0.98, name
+
+
+def test_no_torque_at_all_has_a_peak_of_zero_without_sign():
+    nothing = Params(Kenv=np.zeros(3), Denv=0.0, Td=-1.0)
+    peak = sweep(nothing, model=Model(contact="welded"), dt=0.01, n_steps=20).peak_torque
+    assert not peak.any()
+    assert not np.signbit(peak).any()
 
 
 def branched(model=Model()):

@@ -36,7 +36,7 @@ ARROWS = {
     "fic_jax.native.turns": {f"fic_jax.native.{n}" for n in ("graph", "moves")},
     "fic_jax.native.latched": {f"fic_jax.native.{n}" for n in ("graph", "demands", "moves")},
     "fic_jax.native.branches": {
-        f"fic_jax.native.{n}" for n in ("graph", "demands", "moves", "latched", "turns")
+        f"fic_jax.native.{n}" for n in ("graph", "demands", "moves", "latched")
     },
     "fic_jax.native.operations": {"fic_jax.native.graph"},
     "fic_jax.native.vectors": {f"fic_jax.native.{n}" for n in ("graph", "operations")},

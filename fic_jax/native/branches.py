@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from fic_jax.native.demands import ALWAYS, NEVER, Demand, demands, implies, met, without
-from fic_jax.native.graph import ZERO, Branch, Graph, Loop, Node, Scope, live
+from fic_jax.native.graph import ZERO, Branch, Graph, Loop, Node, Scope, live, loops
 from fic_jax.native.latched import keep, parted
 from fic_jax.native.moves import (
     BULK,
@@ -26,7 +26,6 @@ from fic_jax.native.moves import (
     substitute,
     visible,
 )
-from fic_jax.native.turns import loops
 
 
 def branch_out(graph: Graph, roots: Sequence[Node]) -> None:
@@ -40,7 +39,6 @@ def branch_out(graph: Graph, roots: Sequence[Node]) -> None:
         while jump_over(graph, loop, roots, apart):
             pass
     merge(roots)
-    # steer(graph, roots)
 
 
 def merge(roots: Sequence[Node]) -> None:
@@ -60,28 +58,31 @@ def merge(roots: Sequence[Node]) -> None:
 def jump_over(graph: Graph, loop: Loop, roots: Sequence[Node], apart: set[Node]) -> bool:
     """Move the costliest nodes of one demand in a loop into a branch, if there are any left.
 
-    Those `apart` have been copied for users who want them under conditions known later.
+    What users want under conditions known later is copied for them, but once: then it is `apart`.
     """
     everything = live(roots)
     nodes, wanted = demands(everything, loop)
     for scope, demand, own in candidates(nodes, wanted):
         there = [n for n in nodes if n.scope is scope]
         hidden = {n for n in nodes if not visible(n, scope)}
-        inside = convex([n for n in there if implies(wanted[n], demand)], everything)
+        takes = [n for n in there if implies(wanted[n], demand)]
+        inside = convex(takes, everything)
         known = without(demand, hidden | dependants(inside, everything))
         if known != demand:  # others are better off with what is known of their own demand
-            inside = convex([n for n in there if wanted[n] in own], everything)
+            takes = [n for n in there if wanted[n] in own]
+            inside = convex(takes, everything)
             known = without(demand, hidden | dependants(inside, everything))
-        dear = any(cost(n) >= COSTLY for n in inside)
-        if known != demand and dear and apart.isdisjoint(inside):
-            apart.update(inside, copies := parted(graph, inside, everything, loop))
+        costly = any(cost(n) >= COSTLY for n in inside)
+        if known != demand and costly and apart.isdisjoint(inside):
+            copies = parted(graph, inside, everything, loop)
+            apart.update(inside, copies)
             if copies:
                 return True
         if implies(met_in(scope), known):
             continue
         condition = met(graph, known)
-        first = ancestors(condition)
-        inside = [n for n in inside if n not in first]
+        first = ancestors(condition)  # what other conditions are made of would keep its users out
+        inside = convex([n for n in takes if n not in first], everything)
         if sum(map(cost, inside)) < COSTLY:
             continue
         outs = outs_of(inside, everything)

@@ -174,6 +174,11 @@ def live(roots: Iterable[Node]) -> list[Node]:
     return ordered(roots, lambda node: [n for n in node.before() if n in seen])
 
 
+def loops(roots: Iterable[Node]) -> list[Loop]:
+    """The loops that the roots depend on."""
+    return list(dict.fromkeys(node.of for node in live(roots) if isinstance(node.of, Loop)))
+
+
 def ordered(roots: Iterable[Node], before: Callable[[Node], Iterable[Node]]) -> list[Node]:
     """The roots and all that comes before them, each after what comes before it."""
     order: dict[Node, None] = {}

@@ -2,12 +2,16 @@
 
 from collections.abc import Iterable, Sequence
 
-from fic_jax.native.graph import Graph, Loop, Node, live
+from fic_jax.native.graph import Graph, Node, live, loops
 from fic_jax.native.moves import substitute
 
 
 def recall(graph: Graph, roots: Sequence[Node]) -> None:
-    """Take from the last turn what it has left, where a turn would begin by computing it again."""
+    """Take from the last turn what it has left, where a turn would begin by computing it again.
+
+    A node of a turn that is f(phis) equals phi i in every turn, if phi i starts as f(inits) and
+    its out is f(outs): by induction over the turns.
+    """
     for loop in loops(roots):
         nodes = [n for n in live(roots) if n.scope is loop]
         again = _known(graph, nodes, dict(zip(loop.outs, loop.phis, strict=True)))
@@ -28,11 +32,6 @@ def _known(
     for node in nodes:
         args = [instead[a] if a in instead else found.get(a, a) for a in node.args]
         there = [a for a in args if a]
-        same = there and len(there) == len(args)
-        found[node] = graph.known(node.op, there, node.kind, node.value) if same else None
+        whole = bool(args) and len(there) == len(args)
+        found[node] = graph.known(node.op, there, node.kind, node.value) if whole else None
     return found
-
-
-def loops(roots: Sequence[Node]) -> list[Loop]:
-    """The loops that the roots depend on."""
-    return list(dict.fromkeys(node.of for node in live(roots) if isinstance(node.of, Loop)))
