@@ -116,8 +116,8 @@ def update(
         square=acc.square.restarted(tail_begins).plus(eps**2),
         error=acc.error.restarted(tail_begins).plus(eps),
         outside=jnp.where(settled, acc.outside, k + 1),
-        highest=jnp.maximum(sample.tau_env, acc.highest),  # in this order 0 stays 0, not -0
-        lowest=jnp.minimum(sample.tau_env, acc.lowest) if pulls else acc.lowest,
+        highest=jnp.maximum(acc.highest, sample.tau_env),
+        lowest=jnp.minimum(acc.lowest, sample.tau_env) if pulls else acc.lowest,
         before_touch=jnp.where(touched > 0, acc.before_touch, k + 1),
         touched=touched,
         switches=_count(acc.switches, switched),
@@ -146,7 +146,7 @@ def finish(
         nmse_tail=acc.square.total / n_tail,
         convergence_time=jnp.where(acc.outside < n_steps, seconds(acc.outside + 1), jnp.inf),
         steady_error=acc.error.total / n_tail,
-        peak_torque=jnp.maximum(-acc.lowest, acc.highest),
+        peak_torque=jnp.abs(jnp.maximum(acc.highest, -acc.lowest)),  # either may be a zero of -0
         overshoot=jnp.maximum(jnp.where(T_n < 0.0, acc.lowest, acc.highest) / T_n - 1.0, 0.0),
         contact_time=jnp.where(acc.touched > 0, seconds(acc.before_touch + 1), jnp.inf),
         contact_lost=seconds(lost),
