@@ -33,7 +33,7 @@ REGISTERS = 1
 
 # What is told where an arrangement can't be built.
 SLOWER = {
-    "native": "no vector kernel {where}: compiled by XLA instead, expect half of the speed; "
+    "native": "no vector kernel {where}: compiled by XLA instead, expect two fifths of the speed; "
     "`pip install llvmlite` if it is missing",
     "kernel": "no GPU kernel {where}: several launches for each plant step instead, expect a small "
     "part of the speed",
