@@ -20,9 +20,9 @@ from sweeps.layout import create
 from sweeps.ledger import DONE, SET_ASIDE, Row
 from sweeps.owner import Owner
 from sweeps.provenance import IDENTITY, provenance
+from sweeps.rules import out_of_bounds
 from sweeps.spec import Sweep, SweepError
 from sweeps.store import DIVERGED, FAILED, OK, Store, Tally, open_store
-from sweeps.validation import out_of_bounds
 
 ATTEMPTS = 3  # at a block before it is set aside
 STABLE = 2.78  # |lambda| dt beyond which RK4 diverges on a linear system

@@ -19,9 +19,10 @@ from sweeps.cli import LIBRARY
 from sweeps.grid import MAX_BLOCK, MAX_BLOCKS, Grid
 from sweeps.layout import size
 from sweeps.messages import plan_lines
+from sweeps.rules import out_of_bounds
 from sweeps.runner import warnings_of
 from sweeps.spec import COUPLED, MAX_CELLS, STORED, SweepError
-from sweeps.validation import MAX_FILE, MAX_TOLD, load, out_of_bounds, parse, validate
+from sweeps.validation import MAX_FILE, MAX_TOLD, load, parse, validate
 from tests import faults
 
 TORTURE = bool(os.environ.get(faults.TORTURE))
