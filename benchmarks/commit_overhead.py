@@ -13,10 +13,10 @@ from statistics import median
 from unittest.mock import patch
 
 from sweeps import runner
-from sweeps.commit import Values, Writer
-from sweeps.ledger import Row
-from sweeps.spec import Sweep
-from sweeps.validation import parse
+from sweeps.spec.reading import parse
+from sweeps.spec.types import Sweep
+from sweeps.store.commit import Values, Writer
+from sweeps.store.ledger import Row
 
 PLAN = """
 name = "overhead"

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from figures.heatmap import panels
 from figures.planes import select
 from figures.style import save
-from sweeps.store import dataset
+from sweeps.store.opening import dataset
 
 METRICS = ("nmse", "nmse_tail", "convergence_time")
 

@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from sweeps.spec import SweepError
-from sweeps.store import FLAGS
+from sweeps.spec.types import SweepError
+from sweeps.store.opening import FLAGS
 
 SUFFIX = {"csv": ".csv", "parquet": ".parquet", "netcdf": ".nc"}
 PIECE = 500_000  # rows held at once

@@ -58,17 +58,9 @@ def llvmlite() -> str:
 def fingerprint() -> str:
     """SHA-256 of the sources that decide a number, from a cell's values to what is stored."""
     engine = sorted(Path(fic_jax.__file__).parent.rglob("*.py"))
-    names = (
-        "commit.py",
-        "design.py",
-        "extend.py",
-        "grid.py",
-        "layout.py",
-        "runner.py",
-        "spec.py",
-        "store.py",
-    )
-    plan = [Path(sweeps.__file__).parent / name for name in names]
+    root = Path(sweeps.__file__).parent
+    rooms = [sorted((root / room).rglob("*.py")) for room in ("spec", "plan", "store")]
+    plan = [*(path for room in rooms for path in room), root / "runner.py"]
     digest = hashlib.sha256()
     for path in [*engine, *plan]:
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")

@@ -14,15 +14,15 @@ import numpy as np
 from fic_jax import Metrics, Params, sweep, tune_for_throughput
 from fic_jax.stiffness import fastest_rate
 from sweeps.cache import programs
-from sweeps.commit import Values, Writer, changing, kept, no_values, now, values_of
-from sweeps.grid import Block, Grid, cells_of
-from sweeps.layout import create
-from sweeps.ledger import DONE, SET_ASIDE, Row
-from sweeps.owner import Owner
+from sweeps.plan.grid import Block, Grid, cells_of
 from sweeps.provenance import IDENTITY, provenance
-from sweeps.rules import out_of_bounds
-from sweeps.spec import Sweep, SweepError
-from sweeps.store import DIVERGED, FAILED, OK, Store, Tally, open_store
+from sweeps.spec.rules import out_of_bounds
+from sweeps.spec.types import Sweep, SweepError
+from sweeps.store.commit import Values, Writer, changing, kept, no_values, now, values_of
+from sweeps.store.format import create
+from sweeps.store.ledger import DONE, SET_ASIDE, Row
+from sweeps.store.lock import Owner
+from sweeps.store.opening import DIVERGED, FAILED, OK, Store, Tally, open_store
 
 ATTEMPTS = 3  # at a block before it is set aside
 STABLE = 2.78  # |lambda| dt beyond which RK4 diverges on a linear system

@@ -20,7 +20,7 @@ from figures import readings as readings_figure
 from figures import saturation as saturation_figure
 from figures import search_resolution as search_figure
 from figures import variable_step as period_figure
-from sweeps.report import (
+from sweeps.paper import (
     accepted,
     formulas,
     limit_cycle,
@@ -31,9 +31,9 @@ from sweeps.report import (
     variable_step,
     welded,
 )
-from sweeps.report.judge import judge
-from sweeps.report.record import PRINTED
-from sweeps.store import OK
+from sweeps.paper.judge import judge
+from sweeps.paper.record import PRINTED
+from sweeps.store.opening import OK
 
 WELDED = Model(law="effort", contact="welded")
 SOFT = Params(K0=60.0, Denv=20.0, period=0.02)  # e stays in the linear zone; lightly damped

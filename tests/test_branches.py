@@ -11,9 +11,14 @@ import jax
 import numpy as np
 import pytest
 
-from sweeps import cache, commit, durable, extend, layout, ledger, owner, runner, store
-from sweeps.spec import SweepError
-from sweeps.validation import parse
+from sweeps import cache, runner
+from sweeps.spec.reading import parse
+from sweeps.spec.types import SweepError
+from sweeps.store import commit, extend, ledger
+from sweeps.store import format as layout
+from sweeps.store import fsync as durable
+from sweeps.store import lock as owner
+from sweeps.store import opening as store
 from tests.changed import note
 from tests.test_golden import GOLDEN, PLAN
 

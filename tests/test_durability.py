@@ -30,16 +30,18 @@ import numpy as np
 import pytest
 
 from fic_jax import Metrics
-from sweeps import cli, extend, layout, runner, verify
-from sweeps.commit import Writer
-from sweeps.durable import PARTIAL
-from sweeps.grid import Grid, cells_of
-from sweeps.ledger import DONE, NAME, PARTLY, SEAL, SET_ASIDE, Ledger, Stamp, _opened
-from sweeps.owner import NAME as LOCK
+from sweeps import cli, runner
+from sweeps.plan.grid import Grid, cells_of
 from sweeps.provenance import KEPT
-from sweeps.spec import SweepError
-from sweeps.store import Tally, open_store
-from sweeps.validation import parse
+from sweeps.spec.reading import parse
+from sweeps.spec.types import SweepError
+from sweeps.store import extend, verify
+from sweeps.store import format as layout
+from sweeps.store.commit import Writer
+from sweeps.store.fsync import PARTIAL
+from sweeps.store.ledger import DONE, NAME, PARTLY, SEAL, SET_ASIDE, Ledger, Stamp, _opened
+from sweeps.store.lock import NAME as LOCK
+from sweeps.store.opening import Tally, open_store
 from tests.faults import TORTURE, Calls, Disk, Killed, build
 from tests.victim import BLOCKS, CELLS, keep, own, work
 

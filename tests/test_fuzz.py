@@ -16,13 +16,13 @@ import pytest
 
 from fic_jax import CHOICES, QUANTITIES
 from sweeps.cli import LIBRARY
-from sweeps.grid import MAX_BLOCK, MAX_BLOCKS, Grid
-from sweeps.layout import size
-from sweeps.messages import plan_lines
-from sweeps.rules import out_of_bounds
+from sweeps.cli.messages import plan_lines
+from sweeps.plan.grid import MAX_BLOCK, MAX_BLOCKS, Grid
 from sweeps.runner import warnings_of
-from sweeps.spec import COUPLED, MAX_CELLS, STORED, SweepError
-from sweeps.validation import MAX_FILE, MAX_TOLD, load, parse, validate
+from sweeps.spec.reading import MAX_FILE, MAX_TOLD, load, parse, validate
+from sweeps.spec.rules import out_of_bounds
+from sweeps.spec.types import COUPLED, MAX_CELLS, STORED, SweepError
+from sweeps.store.format import size
 from tests import faults
 
 TORTURE = bool(os.environ.get(faults.TORTURE))
@@ -416,9 +416,9 @@ TEN_BILLION = AXES + "".join(
 )
 PLANNING = """
 import sys, time
-from sweeps.grid import Grid
-from sweeps.messages import plan_lines
-from sweeps.validation import parse
+from sweeps.plan.grid import Grid
+from sweeps.cli.messages import plan_lines
+from sweeps.spec.reading import parse
 began = time.process_time()
 print(*plan_lines(Grid(parse(sys.argv[1], "f")), "float32"))
 print(time.process_time() - began)

@@ -14,13 +14,16 @@ import pandas as pd
 import pytest
 
 from figures import plot
-from sweeps import extend, messages, runner, store
+from sweeps import runner
+from sweeps.cli import messages
 from sweeps.export import write
-from sweeps.grid import Grid
-from sweeps.ledger import SET_ASIDE
-from sweeps.spec import SweepError
-from sweeps.validation import parse
-from sweeps.verify import verify
+from sweeps.plan.grid import Grid
+from sweeps.spec.reading import parse
+from sweeps.spec.types import SweepError
+from sweeps.store import extend
+from sweeps.store import opening as store
+from sweeps.store.ledger import SET_ASIDE
+from sweeps.store.verify import verify
 
 GOLDEN = Path(__file__).parent / "golden"
 PLAN = """

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from fic_jax import Model, Params, engine, sweep
-from fic_jax.blocks import LANES
-from fic_jax.kernel import in_one_kernel
+from fic_jax.engine.pallas import in_one_kernel
+from fic_jax.engine.xla import LANES
 from fic_jax.params import QUANTITIES
 
 RNG = np.random.default_rng(7)

@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from fic_jax import METRICS, Model, Params, engine, native, sweep
-from fic_jax.native import Kernel
-from fic_jax.native.branches import branch_out
-from fic_jax.native.graph import Branch, Loop, Untranslatable, live
-from fic_jax.native.rounding import fuse
-from fic_jax.native.tracing import traced
-from fic_jax.native.turns import recall
-from fic_jax.native.vectors import kernel
+from fic_jax.lanes import Kernel
+from fic_jax.lanes.branches import branch_out
+from fic_jax.lanes.graph import Branch, Loop, Untranslatable, live
+from fic_jax.lanes.rounding import fuse
+from fic_jax.lanes.tracing import traced
+from fic_jax.lanes.turns import recall
+from fic_jax.lanes.vectors import kernel
 from fic_jax.params import QUANTITIES
 from tests import faults
 from tests.programs import N_COLUMNS, N_RESULTS, program
@@ -372,11 +372,11 @@ WRITTEN = """
 import hashlib, sys
 import jax
 import numpy as np
-from fic_jax.native.branches import branch_out
-from fic_jax.native.rounding import fuse
-from fic_jax.native.tracing import traced
-from fic_jax.native.turns import recall
-from fic_jax.native.vectors import kernel
+from fic_jax.lanes.branches import branch_out
+from fic_jax.lanes.rounding import fuse
+from fic_jax.lanes.tracing import traced
+from fic_jax.lanes.turns import recall
+from fic_jax.lanes.vectors import kernel
 from tests.programs import N_COLUMNS, program
 jax.config.update("jax_enable_x64", True)
 told = hashlib.sha256()
@@ -590,7 +590,7 @@ def test_without_llvm_xla_compiles_and_one_warning_says_so(arranged, missing, mo
     expected = sweep(scenarios, dt=0.01, n_steps=20)
     if missing:
         for name in [
-            name for name in sys.modules if name.startswith(("llvmlite", "fic_jax.native"))
+            name for name in sys.modules if name.startswith(("llvmlite", "fic_jax.lanes"))
         ]:
             monkeypatch.delitem(sys.modules, name)
         monkeypatch.setitem(sys.modules, "llvmlite", None)

@@ -7,8 +7,8 @@ import jax
 import numpy as np
 import pytest
 
-from sweeps.grid import Grid
-from sweeps.validation import parse
+from sweeps.plan.grid import Grid
+from sweeps.spec.reading import parse
 
 README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
 BLOCKS = {

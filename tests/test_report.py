@@ -11,16 +11,16 @@ import xarray as xr
 
 from fic_jax import Model, Params
 from sweeps import runner
-from sweeps.report import compose, online_gains, studies
-from sweeps.report.claims import CLAIMS, PRINTED, chosen
-from sweeps.report.judge import judge, verdict_of
-from sweeps.report.markdown import markdown
-from sweeps.report.page import Page
-from sweeps.report.record import Condition, Evidence, Findings, Reading, Section
-from sweeps.report.stores import ensure
-from sweeps.report.web import page_html, paragraphs
-from sweeps.spec import SweepError
-from sweeps.store import Tally
+from sweeps.paper import compose, online_gains, studies
+from sweeps.paper.claims import CLAIMS, PRINTED, chosen
+from sweeps.paper.judge import judge, verdict_of
+from sweeps.paper.markdown import markdown
+from sweeps.paper.page import Page
+from sweeps.paper.record import Condition, Evidence, Findings, Reading, Section
+from sweeps.paper.stores import ensure
+from sweeps.paper.web import page_html, paragraphs
+from sweeps.spec.types import SweepError
+from sweeps.store.opening import Tally
 from tests.changed import note
 from tests.command import call
 from tests.reference import discrete

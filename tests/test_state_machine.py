@@ -34,10 +34,15 @@ from hypothesis.stateful import (
 )
 
 import fic_jax
-from sweeps import cli, commit, durable, extend, layout, owner, runner, store
-from sweeps.ledger import Ledger
+from sweeps import cli, runner
 from sweeps.provenance import provenance
-from sweeps.spec import SweepError
+from sweeps.spec.types import SweepError
+from sweeps.store import commit, extend
+from sweeps.store import format as layout
+from sweeps.store import fsync as durable
+from sweeps.store import lock as owner
+from sweeps.store import opening as store
+from sweeps.store.ledger import Ledger
 from tests import faults
 from tests.command import typed
 

@@ -9,11 +9,15 @@ import pytest
 import xarray as xr
 
 import fic_jax
-from sweeps import layout, ledger, messages, runner, store
+from sweeps import runner
+from sweeps.cli import messages
 from sweeps.export import tables, write
-from sweeps.grid import Grid, cells_of
-from sweeps.spec import SweepError
-from sweeps.validation import parse
+from sweeps.plan.grid import Grid, cells_of
+from sweeps.spec.reading import parse
+from sweeps.spec.types import SweepError
+from sweeps.store import format as layout
+from sweeps.store import ledger
+from sweeps.store import opening as store
 from tests.changed import note
 
 TEXT = """

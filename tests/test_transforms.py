@@ -23,8 +23,8 @@ from fic_jax import (
     rollout,
 )
 from fic_jax import step as public_step
-from fic_jax.blocks import BLOCKS, LANES
 from fic_jax.engine import _compiled
+from fic_jax.engine.xla import BLOCKS, LANES
 from fic_jax.profile import energy, force
 from tests.streamed import streamed
 
@@ -101,7 +101,7 @@ def test_any_block_size_gives_the_same_bits(arranged, lanes, blocks, monkeypatch
     batch = random_batch(700)
     arranged("scan")
     chosen = fic_jax.sweep(batch, dt=DT, n_steps=60)
-    monkeypatch.setattr(fic_jax.blocks, "LANES", lanes)
+    monkeypatch.setattr(fic_jax.engine.xla, "LANES", lanes)
     monkeypatch.setitem(BLOCKS, "scan", blocks)
     _compiled.cache_clear()
     assert_same(fic_jax.sweep(batch, dt=DT, n_steps=60), chosen)

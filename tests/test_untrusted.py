@@ -16,11 +16,12 @@ import numpy as np
 import pytest
 import zarr
 
-from sweeps import ledger, runner
+from sweeps import runner
 from sweeps.provenance import provenance
-from sweeps.spec import SweepError
-from sweeps.store import dataset, open_store
-from sweeps.validation import parse
+from sweeps.spec.reading import parse
+from sweeps.spec.types import SweepError
+from sweeps.store import ledger
+from sweeps.store.opening import dataset, open_store
 from tests import faults
 from tests.command import call, typed
 
@@ -513,7 +514,7 @@ def test_a_bomb_takes_no_memory(theirs):
     DAMAGED["chunk bomb"](theirs)
     code = (
         "import resource, sys\n"
-        "from sweeps import messages, store\nimport xarray\nfrom pathlib import Path\n"
+        "from sweeps.store import opening as store\nimport xarray\nfrom pathlib import Path\n"
         "have = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize()\n"
         "resource.setrlimit(resource.RLIMIT_AS, (have + 4 * 10**8,) * 2)\n"
         "try:\n    store.dataset(Path(sys.argv[1]))\n"

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from fic_jax import Params
 from sweeps.cli import LIBRARY
-from sweeps.grid import MAX_BLOCKS, Grid
+from sweeps.plan.grid import MAX_BLOCKS, Grid
 from sweeps.runner import warnings_of
-from sweeps.spec import SweepError
-from sweeps.validation import load, parse
+from sweeps.spec.reading import load, parse
+from sweeps.spec.types import SweepError
 
 GOOD = 'name = "a"\n[axes]\nK0 = { log = [1.0, 1000.0], n = 4 }\n'
 SAMPLE = 'name = "a"\n[sample]\nn = 9\n'

@@ -12,8 +12,8 @@ from numcodecs.blosc import get_mutex
 from fic_jax import engine
 from sweeps import runner
 from sweeps.cache import VARIABLE
-from sweeps.owner import owning
-from sweeps.validation import parse
+from sweeps.spec.reading import parse
+from sweeps.store.lock import owning
 
 get_mutex()  # once for all processes forked from one that has imported this
 BLOCKS = 8

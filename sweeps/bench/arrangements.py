@@ -17,8 +17,8 @@ import fic_jax
 from fic_jax import Model, Params
 from fic_jax.engine import ARRANGEMENT, cores
 from sweeps.bench.plan import DT
-from sweeps.grid import Grid
-from sweeps.validation import load
+from sweeps.plan.grid import Grid
+from sweeps.spec.reading import load
 
 TWINS = {"cpp": "cpp", "numba": "numba_twin", "diffrax": "diffrax_twin"}
 # The engine's own: what `sweep` is asked for.

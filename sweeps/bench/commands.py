@@ -7,8 +7,8 @@ from pathlib import Path
 
 from sweeps.bench.plan import DT, Plan, Table, Tell, summary, within
 from sweeps.bench.processes import BenchError, Child, Whole, whole
-from sweeps.grid import Grid
-from sweeps.validation import load
+from sweeps.plan.grid import Grid
+from sweeps.spec.reading import load
 
 CELLS, CELLS_FULL = 1_000_000, 4_000_000
 FIRST = 1_000  # cells of a first result
