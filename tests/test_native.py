@@ -13,7 +13,8 @@ import llvmlite.binding as llvm
 import numpy as np
 import pytest
 
-from fic_jax import METRICS, Model, Params, engine, native, sweep
+from fic_jax import METRICS, Model, Params, engine, sweep
+from fic_jax import lanes as native
 from fic_jax.lanes import Kernel
 from fic_jax.lanes.branches import branch_out
 from fic_jax.lanes.graph import Branch, Loop, Untranslatable, live

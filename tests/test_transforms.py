@@ -19,8 +19,10 @@ from fic_jax import (
     control,
     evaluate,
     init,
-    native,
     rollout,
+)
+from fic_jax import (
+    lanes as native,
 )
 from fic_jax import step as public_step
 from fic_jax.engine import _compiled
