@@ -11,7 +11,7 @@ from unittest.mock import patch
 
 from benchmarks.child import Child
 from benchmarks.plan import Plan, Say
-from benchmarks.tables import Table, summary
+from benchmarks.tables import Table, measured
 from sweeps import runner
 from sweeps.spec.reading import parse
 from sweeps.store.commit import Values, Writer
@@ -45,9 +45,9 @@ def commit(plan: Plan, say: Say) -> Table:
         rows.append(
             {
                 "name": f"{kind} time, s",
-                "stored": summary(with_),
-                "dropped": summary(without),
-                "added_percent": summary(added),
+                "stored": measured(with_),
+                "dropped": measured(without),
+                "added_percent": measured(added),
             }
         )
     return Table(

@@ -2,7 +2,7 @@
 
 import json
 import statistics
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -28,21 +28,20 @@ class Table:
         return [[heading for heading, _ in self.columns], *rows]
 
 
-def summary(values: list[float], best: Callable[[list[float]], float] = min) -> Row:
-    """Median and best of the rounds, and all of them in their order."""
-    return {"median": statistics.median(values), "best": best(values), "all": values}
-
-
-def target(value: float, at_least: float | None = None, at_most: float | None = None) -> Row:
-    """The target of a row and whether the value meets it; empty without a target."""
+def measured(
+    values: list[float],
+    best: Callable[[Iterable[float]], float] = min,
+    at_least: float | None = None,
+    at_most: float | None = None,
+) -> Row:
+    """Median, best and all values of the rounds; a target, and whether the median meets it."""
+    median = statistics.median(values)
+    row: Row = {"median": median, "best": best(values), "all": values}
     if at_least is not None:
-        return {"target": f"at least {at_least:g}", "met": value >= at_least}
+        row |= {"target": f"at least {at_least:g}", "met": "yes" if median >= at_least else "no"}
     if at_most is not None:
-        return {"target": f"at most {at_most:,.4g}", "met": value <= at_most}
-    return {}
-
-
-TARGET = [("target", "{target}"), ("met", "{met}")]  # the columns that show `target`
+        row |= {"target": f"at most {at_most:,.4g}", "met": "yes" if median <= at_most else "no"}
+    return row
 
 
 def render(machine: Row, tables: dict[str, Table], form: str = "text", **settings: Any) -> str:
@@ -75,9 +74,8 @@ def _markdown(table: Table) -> list[str]:
 
 
 def _cell(form: str, row: Row) -> str:
-    words = {k: ("yes" if v else "no") if isinstance(v, bool) else v for k, v in row.items()}
     try:
-        return form.format(**words)
+        return form.format(**row)
     except KeyError:
         return ""
 

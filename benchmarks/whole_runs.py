@@ -15,7 +15,7 @@ import fic_jax
 from benchmarks.child import Child
 from benchmarks.fic_sweep import timed
 from benchmarks.plan import DT, Plan, Say
-from benchmarks.tables import TARGET, Row, Table, summary, target
+from benchmarks.tables import Row, Table, measured
 from fic_jax import Params
 from sweeps.plan.grid import Grid
 from sweeps.spec.reading import load
@@ -58,29 +58,26 @@ def run(plan: Plan, say: Say) -> Table:
             bare.append(child.call("benchmarks.whole_runs.bare_engine", **engine))
             runs.append(_run(folder, "sweep.toml", report=True))
         say(f"run: {more:,} scenarios of {few_steps} steps for their memory")
-        larger = _run(folder, "more.toml", "--chunk", str(math.prod(grid.block_shape)))[
-            "peak_bytes"
-        ]
-    start, compiling = ([r[key] for r in runs] for key in ("start_s", "compile_s"))
-    whole_s = [r["seconds"] for r in runs]
-    ratio = [b / (w - c) for b, w, c in zip(bare, whole_s, compiling, strict=True)]
-    started = [b / (w - c - s) for b, w, c, s in zip(bare, whole_s, compiling, start, strict=True)]
+        block = str(math.prod(grid.block_shape))
+        larger = _run(folder, "more.toml", "--chunk", block)["peak_bytes"]
+    start, compiling, whole = ([r[k] for r in runs] for k in ("start_s", "compile_s", "seconds"))
+    rest = [w - c for w, c in zip(whole, compiling, strict=True)]
+    ratios = [b / r for b, r in zip(bare, rest, strict=True)]
+    without_start = [b / (r - s) for b, r, s in zip(bare, rest, start, strict=True)]
     peak = max(r["peak_bytes"] for r in runs)
-    reached = summary(ratio, max)
-    rows: list[Row] = [
-        {"name": "bare engine, s"} | summary(bare),
-        {"name": "fic-sweep run, whole process, s"} | summary(whole_s),
-        {"name": "  of it starting: interpreter, imports"} | summary(start),
-        {"name": "  of it compiling"} | summary(compiling),
-        {"name": "engine / (whole less compiling)"} | reached | target(reached["median"], 0.95),
-        {"name": "engine / (whole less compiling and starting)"} | summary(started, max),
-        {"name": "peak memory, MB", "median": peak / 1e6} | target(peak / 1e6, at_most=1500),
-        {"name": f"  with {more:,} scenarios of {few_steps:,} steps", "median": larger / 1e6},
-        {"name": "  ratio of the two", "median": larger / peak}
-        | target(larger / peak, at_most=1.1),
-    ]
+    rows: dict[str, Row] = {
+        "bare engine, s": measured(bare),
+        "fic-sweep run, whole process, s": measured(whole),
+        "  of it starting: interpreter, imports": measured(start),
+        "  of it compiling": measured(compiling),
+        "engine / (whole less compiling)": measured(ratios, max, at_least=0.95),
+        "engine / (whole less compiling and starting)": measured(without_start, max),
+        "peak memory, MB": measured([peak / 1e6], at_most=1500),
+        f"  with {more:,} scenarios of {few_steps:,} steps": measured([larger / 1e6]),
+        "  ratio of the two": measured([larger / peak], at_most=1.1),
+    }
     title = f"A run of {grid.cells:,} scenarios of {plan.steps:,} steps into a store"
-    return Table(title, _columns("{%s:.4g}"), rows)
+    return _table(title, rows, "{%s:.4g}")
 
 
 def first(plan: Plan, say: Say) -> Table:
@@ -95,22 +92,19 @@ def first(plan: Plan, say: Say) -> Table:
                 taken[kind].append(_run(folder, "sweep.toml", cache=f"cache{i}")["seconds"])
         for _ in range(plan.repeats):
             taken["help"].append(timed("--help", cache=str(folder / "cache"))["seconds"])
-    names = {
-        "cold": (f"run, {cells:,} scenarios, nothing cached", 4.0),
-        "warm": (f"run, {cells:,} scenarios, compiled before", 2.0),
-        "help": ("--help", 0.25),
+    rows = {
+        f"run, {cells:,} scenarios, nothing cached": measured(taken["cold"], at_most=4.0),
+        f"run, {cells:,} scenarios, compiled before": measured(taken["warm"], at_most=2.0),
+        "--help": measured(taken["help"], at_most=0.25),
     }
-    rows = []
-    for kind, (shown, at_most) in names.items():
-        seconds = summary(taken[kind])
-        met = target(seconds["median"], at_most=at_most)
-        rows.append({"kind": kind, "name": shown} | seconds | met)
     title = f"First result: whole processes of fic-sweep, {plan.steps:,} steps, in seconds"
-    return Table(title, _columns("{%s:.2f}"), rows)
+    return _table(title, rows, "{%s:.2f}")
 
 
-def _columns(number: str) -> list[tuple[str, str]]:
-    return [("", "{name}"), ("median", number % "median"), ("best", number % "best"), *TARGET]
+def _table(title: str, rows: dict[str, Row], number: str) -> Table:
+    columns = [("", "{name}"), ("median", number % "median"), ("best", number % "best")]
+    columns += [("target", "{target}"), ("met", "{met}")]
+    return Table(title, columns, [{"name": name} | row for name, row in rows.items()])
 
 
 def _run(folder: Path, file: str, *options: str, cache: str = "cache", report: bool = False) -> Any:

@@ -3,21 +3,22 @@
 import json
 
 from benchmarks.machine import machine
-from benchmarks.tables import TARGET, Table, render, summary, target
+from benchmarks.tables import Table, measured, render
 
 ROWS = [
-    {"name": "engine", "s": summary([3.0, 1.0, 2.0])} | target(0.9, at_least=0.9),
+    {"name": "engine"} | measured([3.0, 1.0, 2.0], at_least=2.0),
     {"name": "a peer"},
 ]
-TABLE = Table("Two rows", [("", "{name}"), ("s", "{s[best]:.2f}"), *TARGET], ROWS, ["a note"])
+COLUMNS = [("", "{name}"), ("s", "{best:.2f}"), ("target", "{target}"), ("met", "{met}")]
+TABLE = Table("Two rows", COLUMNS, ROWS, ["a note"])
 
 
 def test_text_aligns_the_columns():
     lines = render(machine(), {"two": TABLE}).splitlines()
     assert lines[-5:] == [
         "Two rows",
-        "           s        target  met",
-        "engine  1.00  at least 0.9  yes",
+        "           s      target  met",
+        "engine  1.00  at least 2  yes",
         "a peer",
         "a note",
     ]
@@ -29,7 +30,7 @@ def test_markdown_has_the_same_cells():
         "**Two rows**\n\n"
         "|  | s | target | met |\n"
         "| --- | ---: | ---: | ---: |\n"
-        "| engine | 1.00 | at least 0.9 | yes |\n"
+        "| engine | 1.00 | at least 2 | yes |\n"
         "| a peer |  |  |  |\n"
         "\na note"
     )
@@ -44,6 +45,8 @@ def test_json_has_the_rows_the_machine_and_the_settings():
     assert result["tables"]["two"] == {"title": "Two rows", "rows": ROWS, "notes": ["a note"]}
 
 
-def test_a_target_is_met_or_not():
-    assert target(3.1, at_most=3.0) == {"target": "at most 3", "met": False}
-    assert target(1.0) == {}
+def test_the_median_meets_a_target_or_not():
+    assert measured([3.0, 3.2, 3.1], at_most=3.0) == {
+        "median": 3.1, "best": 3.0, "all": [3.0, 3.2, 3.1], "target": "at most 3", "met": "no"
+    }  # fmt: skip
+    assert measured([1.0, 2.0], max) == {"median": 1.5, "best": 2.0, "all": [1.0, 2.0]}
