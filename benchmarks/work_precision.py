@@ -11,6 +11,7 @@ The cost is processor time of one core in float64, without compiling. All JAX me
 of the engine does, vmapped over lanes that advance together, in a process with the flags of
 `tune_for_throughput`; diffrax with events runs without them, as XLA can't compile it with them.
 scipy shares no code with the rest (tests/reference): its error is that of the converged value.
+The command needs the source checkout and the extra `bench`.
 """
 
 import argparse
