@@ -134,14 +134,16 @@ def test_a_wrong_request_is_one_line_and_exit_2(wrong):
     assert done.stdout == "" and len(done.stderr.splitlines()) == 1
 
 
-@pytest.mark.parametrize("signum", [signal.SIGINT, signal.SIGTERM])
-def test_an_interruption_leaves_no_file(tmp_path, signum):
-    endless = ("bench", "--only", "first", "--steps", "4", "--repeats", "1000000")
+@pytest.mark.parametrize(
+    ("table", "signum"), [("first", signal.SIGINT), ("commit", signal.SIGTERM)]
+)
+def test_an_interruption_leaves_no_file(tmp_path, table, signum):
+    endless = ("bench", "--only", table, "--steps", "4", "--repeats", "1000000")
     environment = os.environ | {"TMPDIR": str(tmp_path)}
     with subprocess.Popen(
         [FIC_SWEEP, *endless], env=environment, stderr=subprocess.PIPE, text=True
     ) as process:
-        assert process.stderr.readline().startswith("first: round 1")
+        assert process.stderr.readline().startswith(f"{table}: round 1")
         process.send_signal(signum)
         stderr = process.communicate()[1]
     assert process.returncode == 1
