@@ -14,12 +14,12 @@ import numpy as np
 import fic_jax
 from benchmarks.plan import DT
 from fic_jax import Model, Params
-from fic_jax.engine import ARRANGEMENT, cores
+from fic_jax.lanes import cores
 
 
 @dataclass(frozen=True)
 class Implementation:
-    """A row of the rates."""
+    """A row of the table of rates."""
 
     name: str
     options: dict[str, Any] = field(default_factory=dict)  # of `fic_jax.sweep`
@@ -39,7 +39,7 @@ IMPLEMENTATIONS = {
     "events": Implementation(
         "engine, rk4_events", {"model": Model(integrator="rk4_events")}, share=2, at_most=3.0
     ),
-    "xla": Implementation("engine by XLA alone", share=2),
+    "xla": Implementation("engine, backend xla", {"backend": "xla"}, share=2),
     "plain": Implementation("plain jit(vmap(scan))", peer="plain", share=4, at_least=3.5),
     "diffrax": Implementation("diffrax twin", peer="diffrax_twin", share=8, at_least=8.0),
     "estimate": Implementation("engine, error_estimate", {"error_estimate": True}, share=8),
@@ -64,8 +64,6 @@ def first(kind: str, steps: int, n: int, devices: int | None = None) -> float:
     """
     implementation = IMPLEMENTATIONS[kind]
     jax.config.update("jax_enable_x64", implementation.dtype == "float64")
-    if kind == "xla":
-        ARRANGEMENT["cpu"] = "scan"
     if implementation.peer:
         os.environ.pop("XLA_FLAGS", None)
     else:

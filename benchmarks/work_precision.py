@@ -38,7 +38,7 @@ from benchmarks.machine import machine
 from benchmarks.scenarios import N_SAMPLES, PERIOD, Kind, kinds
 from benchmarks.tables import Row, Table, render
 from fic_jax import QUANTITIES, Model, Params
-from fic_jax.engine import UNROLL
+from fic_jax.engine.sweeping import UNROLL
 from fic_jax.engine.xla import LANES
 from fic_jax.metrics import compiled_evaluate
 from figures.style import COLUMN_WIDTH, RC, SMALL_SIZE, save
