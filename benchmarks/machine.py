@@ -18,8 +18,7 @@ EXTENSIONS = {"avx2": "avx2", "avx512f": "avx512", "asimd": "neon", "neon": "neo
 
 def machine() -> dict[str, Any]:
     """Processor, cores in use, vector extensions, load average now, versions."""
-    info = cpuinfo()
-    flags = set(extensions().lower().split())
+    info, flags = cpuinfo(), extensions().lower().split()
     vector = {name for flag, name in EXTENSIONS.items() if flag in flags}
     if not info and platform.machine() == "arm64":  # macOS has no /proc, and every arm64 has NEON
         vector = {"neon"}

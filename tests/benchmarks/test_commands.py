@@ -5,13 +5,10 @@ import os
 import signal
 import subprocess
 import sys
-import tempfile
-from pathlib import Path
 
 import pytest
 
-from benchmarks import measure, rates, whole_runs
-from benchmarks.child import Child
+from benchmarks import measure, rates
 from benchmarks.fic_sweep import covered
 from benchmarks.implementations import IMPLEMENTATIONS
 from benchmarks.plan import Plan
@@ -149,26 +146,6 @@ def test_an_interruption_leaves_no_file(tmp_path, table, signum):
     assert process.returncode == 1
     assert stderr.splitlines()[-1] == "fic-sweep: interrupted"
     assert not list(tmp_path.iterdir())
-
-
-def test_an_interrupted_run_leaves_no_file(tmp_path, monkeypatch):
-    def interrupted(_, __, ___, store, **____):
-        Path(store).mkdir()
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setattr(whole_runs, "timed", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        whole_runs.first(Plan(steps=4), lambda line: None)
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("kind", ["engine", "plain", "cpp", "numba"])  # diffrax compiles for long
-def test_a_child_measures_an_implementation(kind, monkeypatch):
-    monkeypatch.setenv("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
-    with Child() as child:
-        for function in ("first", "seconds"):
-            assert child.call(f"benchmarks.implementations.{function}", kind=kind, steps=4, n=8) > 0
 
 
 def test_nested_spans_count_once():
