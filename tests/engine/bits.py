@@ -1,6 +1,6 @@
 """Seeded scenarios and the SHA-256 of their sweeps: the numbers that this program makes.
 
-`python -m tests.engine.bits` records every reading of the model in tests/golden/bits.json, under
+`python -m tests.engine.bits` records every reading of the model in tests/engine/bits.json, under
 the arithmetic of this machine; test_bits.py compares with it. Raise `fic_jax.NUMERICS` when you
 record other bits.
 """
@@ -17,7 +17,7 @@ import numpy as np
 from fic_jax import CHOICES, METRICS, Model, Params, sweep
 from fic_jax.engine import arithmetic
 
-GOLDEN = Path(__file__).parents[1] / "golden" / "bits.json"
+GOLDEN = Path(__file__).with_name("bits.json")
 N, N_STEPS, DT = 4096, 200, 0.01
 
 
