@@ -1,4 +1,4 @@
-"""The description of a scenario: `Params`, numbers in a pytree, and `Model`, static choices."""
+"""A scenario: its numbers (`Params`, a pytree) and its choices (`Model`, static), both checked."""
 
 import dataclasses
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ Scalar: TypeAlias = Any  # a float, a 0-d array or a tracer: the physics is for 
 
 
 class ParamsError(ValueError):
-    """A wrong value: its `key`, the `value`, and what is `wanted` instead."""
+    """A wrong value: `key` names it, `value` is the value, `wanted` says which would be right."""
 
     def __init__(self, key: str, value: object, wanted: str):
         super().__init__(f"`{key}` must be {wanted}, but is {value}.")
@@ -27,9 +27,9 @@ def _quantity(default: float, unit: str, meaning: str, bound: str = "finite") ->
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Params:
-    """The numbers of one scenario, or of N with `[N]` leaves. Defaults are the paper's.
+    """The numbers of one scenario (scalars), or of N scenarios ([N] leaves), in SI units.
 
-    A sweep may vary every field. SI units, rotation about one axis (Sec. IV of the paper).
+    The defaults are the paper's: a rotation about one axis (Sec. IV). A sweep may vary each field.
     """
 
     K0: Scalar = _quantity(100.0, "N*m/rad", "constant stiffness of the controller", "positive")
@@ -61,16 +61,19 @@ Integrator = Literal["rk4", "rk4_events"]
 
 @dataclass(frozen=True)
 class Model:
-    """The static choices: the reading of the paper. The first option of each is the default.
+    """The choices between readings of the paper; static for JAX. Each default is the first option.
 
-    law: slope of the converging branch, `algorithm1` as printed, `effort` 2F_K(e_M)/e_M
-        throughout, `energy` 4E_K(e_M)/e_M^2 throughout.
-    divergence: `velocity` e*v <= 0, `error_rate` |e| grew since the last plant step,
-        `velocity_band` as `velocity` and also while |v| < 0.01 rad/s.
-    peak: `latched` e_M is held while converging, `running` it follows a larger or opposite error.
-    feedback: what Algorithm 2 measures, the `interaction` torque or the `motor` torque.
-    contact: `hard_stop` (undamped rebound, never pulls), `damped_rebound`, `welded`.
-    integrator: `rk4`, Simulink's ode4; `rk4_events`, the same with switches located in the step.
+    law: slope of the converging branch (Algorithm 1)
+        `algorithm1`: 4 E_K(e_M)/e_M^2 where |e| <= x0 and 2 F_K(e_M)/e_M beyond, as printed;
+        `effort`: 2 F_K(e_M)/e_M everywhere; `energy`: 4 E_K(e_M)/e_M^2 everywhere.
+    divergence: when the attractor diverges
+        `velocity`: e v <= 0; `error_rate`: |e| has grown since the last plant step;
+        `velocity_band`: as `velocity`, and also while |v| < 0.01 rad/s.
+    peak: the peak error e_M while converging
+        `latched`: constant; `running`: follows an error that is larger or of the other sign.
+    feedback: the torque that Algorithm 2 measures, `interaction` (tau_env) or `motor`.
+    contact: `hard_stop` (undamped rebound, does not pull), `damped_rebound` or `welded`.
+    integrator: `rk4`, Simulink's ode4; `rk4_events`, RK4 with its switches located in the step.
 
     Raises ParamsError if a choice is not one of these.
     """
@@ -82,7 +85,7 @@ class Model:
     contact: Contact = "hard_stop"
     integrator: Integrator = "rk4"
 
-    # Checked here, unlike Params: a Model is no pytree, so no tracer ever passes through.
+    # Checked here, unlike Params: a Model is no pytree, so JAX makes none with tracers.
     def __post_init__(self) -> None:
         for name, options in CHOICES.items():
             value = getattr(self, name)
@@ -90,7 +93,7 @@ class Model:
                 raise ParamsError(name, repr(value), "one of " + ", ".join(options))
 
     def with_events(self) -> "Model":
-        """The same reading, integrated with its switches located."""
+        """The same choices with the integrator `rk4_events`."""
         return dataclasses.replace(self, integrator="rk4_events")
 
 
@@ -112,31 +115,31 @@ _BOUNDS = {
 
 
 def canonical(params: Params) -> Params:
-    """Give every leaf one strong float dtype, so that Python floats and arrays trace alike.
+    """The parameters with all leaves in one strong float dtype: numbers and arrays trace alike.
 
-    The dtype is that of the leaves: float32 by default, float64 with x64 on. Integers become
-    floats.
+    JAX's promotion of the leaves gives the dtype: float32 by default, float64 with x64 on. Integers
+    become floats.
     """
     dtype = jnp.result_type(float, *jax.tree.leaves(params))
     return jax.tree.map(lambda leaf: strong(leaf, dtype), params)
 
 
 def strong(leaf: Scalar, dtype: Any) -> Scalar:
-    """A leaf as a strongly typed array, so that all types of number share one compilation."""
+    """A leaf as a strongly typed array. Floats, integers and arrays then share one compilation."""
     if isinstance(leaf, jax.Array):
         return jnp.asarray(leaf, dtype)
     return np.asarray(leaf, dtype)  # 1 us; a transfer to the device takes 20
 
 
 def steps_per_period(period: Scalar, dt: Scalar) -> jax.Array:
-    """Plant steps between two ticks of Algorithm 2, a whole number >= 1."""
+    """Plant steps between two ticks of Algorithm 2: a whole number, at least 1."""
     return jnp.maximum(jnp.floor(period / dt + 0.5), 1.0).astype(jnp.int32)
 
 
 def check_field(name: str, values: Any, dt: float | None = None) -> None:
     """Raise ParamsError unless every value of one field is finite and within its bound.
 
-    `period` must also be a whole multiple of `dt`, to 1e-6: 0.01 is not exact in float32.
+    `period` must also be a whole multiple of `dt`, within 1e-6: float32 rounds 0.01 by 2e-8.
     """
     a = np.atleast_1d(np.asarray(values, np.float64))
     bound = QUANTITIES[name]["bound"]
@@ -174,7 +177,7 @@ def check_count(name: str, value: Any) -> None:
 def check(params: Params, dt: float, n_steps: int = 1) -> None:
     """Raise ParamsError for the first wrong value; leaves may be `[N]` arrays.
 
-    The public functions call it once, while numbers are concrete. Tracers pass unchecked.
+    The public functions call it once, before JAX traces. Tracers have no values: they pass.
     """
     check_count("n_steps", n_steps)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in [dt, *jax.tree.leaves(params)]):

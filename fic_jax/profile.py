@@ -1,4 +1,4 @@
-"""The force profile of the fractal attractor and its energy (eq. 1 and 2)."""
+"""The force profile of the fractal attractor (eq. 1) and its energy (eq. 2)."""
 
 import jax
 import jax.numpy as jnp
@@ -8,20 +8,22 @@ from fic_jax.params import Params, Scalar
 
 
 def force(e: Scalar, p: Params, side: Scalar | None = None) -> jax.Array:
-    """Torque of the nonlinear spring, N*m, odd and continuous in the error `e` (rad).
+    """Torque F_K of the nonlinear spring (N*m) at the error `e` (rad): eq. 1, odd in e.
 
         F_K = sgn(e) * { K0 |e|                                  |e| <= x0
                        { dF (1 - exp(-(|e| - x0)/b)) + K0 x0     x0 < |e| < xb
                        { Fmax                                    xb <= |e|
 
-    with dF = Fmax - K0 x0 and b = (xb - x0)/S (eq. 1). It is not limited to Fmax: where
-    K0 x0 > Fmax the profile overshoots between x0 and xb, and the controller limits its torque.
-    `side`, an error, chooses the piece in place of `e`.
+    with dF = Fmax - K0 x0 and b = (xb - x0)/S. At xb it jumps by dF exp(-S), 1e-8 N*m by default.
+    If K0 x0 > Fmax, F_K exceeds Fmax between Fmax/K0 and xb; `controller.torque` limits it.
+
+    `e` is a scalar, or an array that broadcasts with the leaves of `p`. `side`, an error (rad),
+    chooses the piece instead of `e`. Checks no values.
     """
     size = jnp.abs(e if side is None else side)
     linear, saturated = size <= p.x0, size >= p.xb
     straight = jnp.where(linear, p.K0 * e, jnp.where(e < 0.0, -p.Fmax, p.Fmax))
-    # neither, not between: a NaN is in no piece, and the bend keeps it
+    # not `x0 < size < xb`: a NaN is in no piece, and takes the bend, which returns NaN
     return where_rare(~linear & ~saturated, lambda: _bend(e, p), straight)
 
 
@@ -33,18 +35,19 @@ def _bend(e: Scalar, p: Params) -> jax.Array:
 
 def _decay(e_abs: Scalar, p: Params) -> jax.Array:
     """exp(-(|e| - x0)/b), 1 below x0."""
-    # where, not minimum: at |e| = x0 that would pass on half the gradient only
+    # where, not minimum: at |e| = x0 JAX's minimum halves the gradient
     beyond_x0 = jnp.where(e_abs < p.x0, 0.0, p.x0 - e_abs)
     return jnp.exp(beyond_x0 * (p.S / (p.xb - p.x0)))
 
 
 def energy(e: Scalar, p: Params) -> jax.Array:
-    """Energy stored in the nonlinear spring, J, even in the error `e` (rad): dE/de = F_K.
+    """Energy E_K of the nonlinear spring (J) at the error `e` (rad): eq. 2, dE_K/de = F_K.
 
         E_K = { K0 e^2 / 2                                                      |e| <= x0
               { Fmax (|e| - x0) + K0 x0^2 / 2 - b dF (1 - exp(-(m - x0)/b))     otherwise
 
-    with m = min(|e|, xb). This is the integral of eq. 1; the printed eq. 2 has stray signs.
+    with m = min(|e|, xb), dF and b as in `force`. This is the integral of eq. 1; the printed
+    eq. 2 has stray signs. `e` is a scalar, or an array that broadcasts with the leaves of `p`.
     """
     e_abs = jnp.abs(e)
     b = (p.xb - p.x0) / p.S
