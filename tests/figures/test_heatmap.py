@@ -1,4 +1,4 @@
-"""Heatmaps show the selected plane with true labels, and never colour a cell without a value."""
+"""A heatmap shows the selected plane with its labels; a cell without a value gets no colour."""
 
 import json
 
@@ -19,7 +19,7 @@ UNITS = {"K0": "N*m/rad", "Kenv": "N*m/rad", "Td": "N*m", "period": "s", "Denv":
 
 
 def dataset(**axes):
-    """Every metric differs in every cell, so that a wrong plane or a transposition shows."""
+    """A sweep whose cells all differ, so that a wrong or transposed plane is noticed."""
     shape = tuple(len(values) for values in axes.values())
     coords = {
         name: (name, np.asarray(values), {"units": UNITS.get(name, "1")})
@@ -73,7 +73,7 @@ def title(figure: Figure) -> str:
     return figure.get_suptitle()
 
 
-def test_the_chosen_plane_is_drawn_with_x_along_the_horizontal(paper):
+def test_the_selected_plane_is_drawn_with_x_horizontal(paper):
     figure = plot(paper, x="Td", y="K0", at={"contact": "welded"})
     np.testing.assert_array_equal(mesh(panel(figure)).get_array(), paper.nmse.values[0])
     turned = plot(paper, x="K0", y="Td", at={"contact": "hard_stop"})
@@ -81,19 +81,19 @@ def test_the_chosen_plane_is_drawn_with_x_along_the_horizontal(paper):
     assert panel(turned).get_xlabel() == "$K_0$ (N·m/rad)"
 
 
-def test_values_given_out_of_order_are_drawn_in_order(paper):
+def test_unordered_values_are_drawn_in_order(paper):
     shuffled = paper.isel(contact=0, Td=[2, 0, 3, 1])
     figure = plot(shuffled, x="Td", y="K0")
     np.testing.assert_array_equal(mesh(panel(figure)).get_array(), paper.nmse.values[0])
 
 
-def test_nearest_value_is_taken_and_the_title_states_it(atlas):
+def test_at_takes_the_nearest_value_and_the_title_has_it(atlas):
     figure = plot(atlas, x="K0", y="Kenv", at={"Td": 6.0})
     np.testing.assert_array_equal(mesh(panel(figure)).get_array(), atlas.nmse.values[1].T)
     assert title(figure) == "small-sweep\n$T_d$ = 5 N·m"
 
 
-def test_a_dimension_nobody_fixed_takes_its_middle_and_the_title_says_so(paper):
+def test_another_dimension_is_fixed_at_its_middle_and_the_title_has_it(paper):
     figure = plot(paper, x="Td", y="contact")
     np.testing.assert_array_equal(mesh(panel(figure)).get_array(), paper.nmse.values[:, 2])
     assert "$K_0$ = 10 N·m/rad" in title(figure)
@@ -156,7 +156,7 @@ def test_strings_and_whole_numbers_are_categories(paper):
     assert [text.get_text() for text in cases.get_xticklabels()] == ["3", "7", "40"]
 
 
-def test_nmse_is_logarithmic_in_whole_decades_and_survives_an_exact_zero(paper):
+def test_nmse_has_a_logarithmic_scale_of_whole_decades_and_a_colour_for_zero(paper):
     paper.nmse[0, 0, 0] = 0.0
     quads = mesh(panel(plot(paper, x="Td", y="K0", at={"contact": "welded"})))
     assert isinstance(quads.norm, LogNorm)
@@ -171,7 +171,7 @@ def test_signed_error_is_centred_on_zero(paper):
     assert norm(0.0) == 0.5
 
 
-def test_outliers_leave_the_scale_and_the_colour_bar_shows_it(atlas):
+def test_an_outlier_does_not_stretch_the_scale_and_the_colour_bar_gets_an_arrow(atlas):
     atlas.nmse[1, 0, 0] = 1e9
     figure = plot(atlas, x="K0", y="Kenv", at={"Td": 5})
     quads = mesh(panel(figure))
@@ -217,14 +217,14 @@ def test_a_status_decoded_as_nan_means_not_run(atlas):
     assert legend(plot(data, x="Kenv", y="K0"))[0].startswith("not run yet")
 
 
-def test_an_unfinished_store_gets_no_invented_colour_bar(atlas):
+def test_a_store_without_finished_cells_gets_no_colour_bar(atlas):
     atlas.status[:] = 0
     figure = plot(atlas, x="Kenv", y="K0")
     assert len(figure.axes) == 1
     assert legend(figure) == ["not run yet (100 %)"]
 
 
-def test_a_full_plane_has_no_legend(atlas):
+def test_a_plane_with_all_values_has_no_legend(atlas):
     assert legend(plot(atlas, x="Kenv", y="K0")) == []
 
 
@@ -235,7 +235,7 @@ def test_labels_name_quantity_and_unit(atlas):
     assert plot(atlas, x="Kenv", y="K0").axes[1].get_ylabel() == "normalised mean square error"
 
 
-def test_panels_share_scale_and_title_what_they_share(atlas):
+def test_panels_share_their_scale_and_the_title_has_what_they_share(atlas):
     row = [("", select(atlas, x="Kenv", y="K0", at={"Td": value})) for value in (1, 20)]
     figure = panels(row)
     left, right, _ = figure.axes
@@ -261,9 +261,9 @@ def test_panels_of_different_metrics_are_refused(atlas):
         ({"metric": "status"}, "no metric 'status'"),
         ({"x": "kenv"}, "no dimension 'kenv'. Did you mean 'Kenv'.*There are: Td, K0, Kenv"),
         ({"y": "Kenv"}, "both are 'Kenv'"),
-        ({"at": {"K0": 5}}, "'K0' is drawn as an axis"),
+        ({"at": {"K0": 5}}, "'K0' is drawn as an axis; `at` cannot fix it too"),
         ({"at": {"TD": 5}}, "no dimension 'TD'. Did you mean 'Td'"),
-        ({"at": {"Td": "five"}}, "Td is numeric, but at asks for 'five'"),
+        ({"at": {"Td": "five"}}, "Td is numeric, but `at` names 'five'"),
         ({"at": {"Td": "nan"}}, "Td is numeric"),
         ({"at": {"Td": 90}}, "Td = 90 lies outside the sweep, which covers 1 to 20 N·m"),
     ],
@@ -279,12 +279,12 @@ def test_a_wrong_model_choice_is_refused(paper):
         plot(paper, x="Td", y="K0", at={"contact": "weldd"})
 
 
-def test_half_a_cell_beyond_the_axis_is_still_on_it(atlas):
+def test_at_may_be_half_a_cell_beyond_the_axis(atlas):
     assert "$T_d$ = 20" in title(plot(atlas, x="Kenv", y="K0", at={"Td": "35"}))
 
 
 @pytest.mark.parametrize("cmap", [colormaps[style.SEQUENTIAL], style.DIVERGING])
-def test_colour_maps_read_in_grey(cmap):
+def test_colour_maps_stay_ordered_in_a_grey_print(cmap):
     linear = cmap(np.linspace(0, 1, 256))[:, :3] ** 2.2
     luminance = linear @ [0.2126, 0.7152, 0.0722]
     assert np.all(np.diff(luminance) > 0)
@@ -306,14 +306,14 @@ def test_nothing_in_the_figure_is_cut_off(paper):
     assert drawn.y0 >= 0 and drawn.y1 <= sheet.y1
 
 
-def test_drawing_touches_no_pyplot_figure_and_not_the_data(paper):
+def test_drawing_makes_no_pyplot_figure_and_changes_no_data(paper):
     before = paper.copy(deep=True)
     plot(paper, x="Td", y="K0")
     assert plt.get_fignums() == []
     xr.testing.assert_identical(paper, before)
 
 
-def test_a_stored_sweep_is_not_pulled_into_memory(tmp_path, atlas):
+def test_drawing_reads_only_a_plane_of_a_store(tmp_path, atlas):
     atlas.to_zarr(tmp_path / "atlas.zarr", consolidated=False)
     stored = xr.open_zarr(tmp_path / "atlas.zarr", consolidated=False, chunks=None)
     figure = plot(stored, x="Kenv", y="K0", at={"Td": 5})
@@ -321,7 +321,7 @@ def test_a_stored_sweep_is_not_pulled_into_memory(tmp_path, atlas):
     assert not stored.nmse.variable._in_memory
 
 
-def test_saved_bytes_depend_on_the_picture_alone(tmp_path, paper):
+def test_the_same_figure_is_saved_as_the_same_bytes(tmp_path, paper):
     for name in ("one.png", "two.png"):
         save(plot(paper, x="Td", y="K0"), tmp_path / name)
     first = (tmp_path / "one.png").read_bytes()
@@ -337,13 +337,13 @@ def test_the_title_states_the_constants_of_the_sweep(atlas):
         assert text in shown
 
 
-def test_a_constant_plane_keeps_plain_ticks(atlas):
+def test_a_constant_plane_gets_a_scale_around_its_value(atlas):
     atlas["convergence_time"][:] = np.float32(9.999999776e-3)
     norm = mesh(panel(plot(atlas, x="Kenv", y="K0", metric="convergence_time"))).norm
     assert 0.005 < norm.vmin < 0.01 < norm.vmax < 0.02
 
 
-def test_a_quantity_that_is_no_grid_is_told(atlas):
+def test_a_field_along_another_dimension_is_refused(atlas):
     drawn = atlas.isel(Td=0, drop=True).assign_coords(gap=("K0", np.arange(16.0)))
     with pytest.raises(PlotError, match="'gap' varies along 'K0', which has no grid to draw on"):
         plot(drawn, x="gap", y="Kenv")
@@ -351,7 +351,7 @@ def test_a_quantity_that_is_no_grid_is_told(atlas):
 
 @pytest.fixture
 def judged(atlas):
-    """The atlas with estimates: a diagonal half of the middle plane is not trusted."""
+    """The atlas with error estimates; half of the middle plane is not trusted."""
     doubt = np.ones(atlas.nmse.shape, bool)
     doubt[1] = np.add.outer(np.arange(16), np.arange(12)) > 14
     atlas["nmse_error"] = atlas.nmse.copy(data=np.where(doubt, 0.1, 1e-4) * atlas.nmse)
@@ -390,7 +390,7 @@ def test_cells_that_are_not_trusted_keep_their_colour_under_a_hatch(judged):
     assert {to_rgb(patch.get_hatchcolor()) for patch in over} == {to_rgb("w"), to_rgb("k")}
 
 
-def test_stores_without_estimates_and_trusted_planes_get_no_hatch(judged):
+def test_a_plane_that_is_trusted_or_has_no_estimates_gets_no_hatch(judged):
     trusted = judged.copy(deep=True)
     trusted.trusted[:] = 2
     for data in (judged.drop_vars(["trusted", "nmse_error"]), trusted):
@@ -398,13 +398,13 @@ def test_stores_without_estimates_and_trusted_planes_get_no_hatch(judged):
         assert hatched(panel(figure)) == [] and legend(figure) == []
 
 
-def test_a_panel_without_estimates_gets_no_share(judged):
+def test_a_panel_without_estimates_gets_a_dash_for_its_share(judged):
     bare = judged.drop_vars(["trusted", "nmse_error"])
     row = [("", select(data, x="Kenv", y="K0", at={"Td": 1})) for data in (judged, bare)]
     assert legend(panels(row)) == ["not trusted: error > 1 % of nmse (100, – %)"]
 
 
-def test_a_number_in_a_hatched_cell_stands_on_its_colour(paper):
+def test_a_number_in_a_hatched_cell_has_a_box_of_the_cells_colour(paper):
     paper["trusted"] = paper.status.copy(data=np.full(paper.status.shape, 2, np.uint8))
     paper.trusted[1, 0, 0] = 1
     axes = panel(plot(paper, x="Td", y="K0"))
@@ -414,7 +414,7 @@ def test_a_number_in_a_hatched_cell_stands_on_its_colour(paper):
     assert boxes[1:] == [None] * 19
 
 
-def test_an_error_is_drawn_in_decades(judged):
+def test_an_estimated_error_has_a_logarithmic_scale(judged):
     judged.nmse_error[1, 0, 0] = 0.0
     judged.nmse_error[1, 0, 1] = np.inf
     figure = plot(judged, x="Kenv", y="K0", metric="nmse_error")
@@ -427,7 +427,7 @@ def test_an_error_is_drawn_in_decades(judged):
     assert norm.vmin == 0.0 < norm.vmax
 
 
-def test_trust_is_told_from_metrics(judged):
+def test_trusted_is_no_metric_and_an_error_needs_estimates(judged):
     with pytest.raises(PlotError, match="'trusted' is no metric: the heatmap of any metric hatch"):
         plot(judged, x="Kenv", y="K0", metric="trusted")
     with pytest.raises(PlotError, match=r"no metric 'nsme_error'. Did you mean 'nmse_error'"):
