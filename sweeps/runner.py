@@ -13,11 +13,12 @@ import numpy as np
 
 from fic_jax import Metrics, Params, sweep, tune_for_throughput
 from fic_jax.stiffness import fastest_rate
-from sweeps.cache import programs
+from sweeps import compile_cache
 from sweeps.plan.grid import Block, Grid, cells_of
 from sweeps.provenance import IDENTITY, provenance
+from sweeps.spec.mistakes import SweepError
 from sweeps.spec.rules import out_of_bounds
-from sweeps.spec.types import Sweep, SweepError
+from sweeps.spec.types import Sweep
 from sweeps.store.commit import Values, Writer, changing, kept, no_values, now, values_of
 from sweeps.store.format import create
 from sweeps.store.ledger import DONE, SET_ASIDE, Row
@@ -76,10 +77,10 @@ def configure(precision: int, device: str | None = None) -> None:
             needed = "a GPU needs a driver and `pip install 'jax[cuda12]'`"
             raise SweepError(f"JAX {jax.__version__} finds no {device} here; {needed}") from None
     jax.config.update("jax_enable_x64", precision == 64)
-    kept = programs()
+    cache = compile_cache.folder()
     own = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
-    if kept is not None and not own:
-        jax.config.update("jax_compilation_cache_dir", str(kept))
+    if cache is not None and not own:
+        jax.config.update("jax_compilation_cache_dir", str(cache))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 

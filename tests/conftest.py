@@ -10,7 +10,7 @@ import pytest
 
 import fic_jax
 from fic_jax import engine
-from sweeps.cache import VARIABLE
+from sweeps.compile_cache import VARIABLE
 
 # Before the backend starts: what the engine wants, and two devices wherever the tests run.
 fic_jax.tune_for_throughput(2)

@@ -11,9 +11,9 @@ import jax
 import numpy as np
 import pytest
 
-from sweeps import cache, runner
+from sweeps import compile_cache, runner
+from sweeps.spec.mistakes import SweepError
 from sweeps.spec.reading import parse
-from sweeps.spec.types import SweepError
 from sweeps.store import commit, extend, ledger
 from sweeps.store import format as layout
 from sweeps.store import fsync as durable
@@ -295,12 +295,12 @@ def test_a_gpu_that_is_there_is_left_to_jax(fresh, monkeypatch):
 def test_what_xla_compiles_is_kept_with_our_programs_or_where_the_user_says(
     fresh, monkeypatch, tmp_path
 ):
-    monkeypatch.setenv(cache.VARIABLE, "")
+    monkeypatch.setenv(compile_cache.VARIABLE, "")
     runner.configure(32)
     assert fresh.jax_compilation_cache_dir is None
-    monkeypatch.setenv(cache.VARIABLE, str(tmp_path / "ours"))
+    monkeypatch.setenv(compile_cache.VARIABLE, str(tmp_path / "ours"))
     runner.configure(32)
-    assert fresh.jax_compilation_cache_dir == str(cache.programs())
+    assert fresh.jax_compilation_cache_dir == str(compile_cache.folder())
     assert fresh.jax_persistent_cache_min_compile_time_secs == 0.2
     fresh.update("jax_compilation_cache_dir", str(tmp_path / "theirs"))
     runner.configure(32)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from sweeps import cache
+from sweeps import compile_cache as cache
 from tests.command import call
 
 SWEEP = """
@@ -51,16 +51,16 @@ def test_a_spoilt_program_is_made_again(tmp_path, change):
 
 def test_the_folder_is_the_users_choice(tmp_path, monkeypatch):
     monkeypatch.setenv(cache.VARIABLE, str(tmp_path / "mine"))
-    assert cache.programs().parent == tmp_path / "mine"
+    assert cache.folder().parent == tmp_path / "mine"
     monkeypatch.delenv(cache.VARIABLE)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "all"))
-    assert cache.programs().parent == tmp_path / "all" / "fic-sweep"
+    assert cache.folder().parent == tmp_path / "all" / "fic-sweep"
 
 
 @pytest.mark.parametrize("kept", ["", "/proc/nowhere"])
 def test_nothing_is_kept_where_it_is_not_wanted_or_can_not_be(kept, monkeypatch):
     monkeypatch.setenv(cache.VARIABLE, kept)
-    assert cache.programs() is None
+    assert cache.folder() is None
 
 
 def test_nothing_is_kept_without_a_home(monkeypatch):
@@ -70,4 +70,4 @@ def test_nothing_is_kept_without_a_home(monkeypatch):
     for name in (cache.VARIABLE, "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(Path, "home", homeless)
-    assert cache.programs() is None
+    assert cache.folder() is None

@@ -33,8 +33,8 @@ from fic_jax import Metrics
 from sweeps import cli, runner
 from sweeps.plan.grid import Grid, cells_of
 from sweeps.provenance import KEPT
+from sweeps.spec.mistakes import SweepError
 from sweeps.spec.reading import parse
-from sweeps.spec.types import SweepError
 from sweeps.store import extend, verify
 from sweeps.store import format as layout
 from sweeps.store.commit import Writer

@@ -18,8 +18,8 @@ from sweeps import runner
 from sweeps.cli import messages
 from sweeps.export import write
 from sweeps.plan.grid import Grid
+from sweeps.spec.mistakes import SweepError
 from sweeps.spec.reading import parse
-from sweeps.spec.types import SweepError
 from sweeps.store import extend
 from sweeps.store import opening as store
 from sweeps.store.ledger import SET_ASIDE

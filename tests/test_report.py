@@ -19,7 +19,7 @@ from sweeps.paper.page import Page
 from sweeps.paper.record import Condition, Evidence, Findings, Reading, Section
 from sweeps.paper.stores import ensure
 from sweeps.paper.web import page_html, paragraphs
-from sweeps.spec.types import SweepError
+from sweeps.spec.mistakes import SweepError
 from sweeps.store.opening import Tally
 from tests.changed import note
 from tests.command import call

@@ -34,9 +34,11 @@ from hypothesis.stateful import (
 )
 
 import fic_jax
-from sweeps import cli, runner
+from sweeps import runner
+from sweeps.cli.interruption import Stop
 from sweeps.provenance import provenance
-from sweeps.spec.types import SweepError
+from sweeps.spec.mistakes import SweepError
+from sweeps.spec.reading import load
 from sweeps.store import commit, extend
 from sweeps.store import format as layout
 from sweeps.store import fsync as durable
@@ -157,7 +159,7 @@ class World:
             patch.object(Ledger, "add", self.add(Ledger.add)),
             patch.object(Ledger, "fix", self.around(Ledger.fix)),
             patch.object(Ledger, "forget", self.around(Ledger.forget)),
-            patch.object(cli, "_stop_if", self.around(cli._stop_if)),
+            patch.object(Stop, "after_block", self.around(Stop.after_block)),
             patch.object(commit, "now", lambda: "2026-01-01T00:00:00+00:00"),
             patch.object(runner, "now", lambda: "2026-01-01T00:00:00+00:00"),
         ]
@@ -340,10 +342,10 @@ class Store(RuleBasedStateMachine):
             return
         extend.recover(self.path)
         record = store.open_store(self.path).grid.sweep
-        if record == cli._load(str(self.file_of(self.planned)), None):
+        if record == load(self.file_of(self.planned)):
             self.plan = self.planned
         else:
-            assert record == cli._load(str(self.file_of(self.plan)), None)
+            assert record == load(self.file_of(self.plan))
         self.planned = None
         assert not extend.away(self.path).exists()
 

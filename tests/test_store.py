@@ -13,8 +13,8 @@ from sweeps import runner
 from sweeps.cli import messages
 from sweeps.export import tables, write
 from sweeps.plan.grid import Grid, cells_of
+from sweeps.spec.mistakes import SweepError
 from sweeps.spec.reading import parse
-from sweeps.spec.types import SweepError
 from sweeps.store import format as layout
 from sweeps.store import ledger
 from sweeps.store import opening as store

@@ -18,8 +18,8 @@ import zarr
 
 from sweeps import runner
 from sweeps.provenance import provenance
+from sweeps.spec.mistakes import SweepError
 from sweeps.spec.reading import parse
-from sweeps.spec.types import SweepError
 from sweeps.store import ledger
 from sweeps.store.opening import dataset, open_store
 from tests import faults

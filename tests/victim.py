@@ -11,7 +11,7 @@ from numcodecs.blosc import get_mutex
 
 from fic_jax import engine
 from sweeps import runner
-from sweeps.cache import VARIABLE
+from sweeps.compile_cache import VARIABLE
 from sweeps.spec.reading import parse
 from sweeps.store.lock import owning
 

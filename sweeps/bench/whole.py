@@ -32,8 +32,8 @@ def _end_with_stdin() -> None:
 
 def _with_report(report: Path, began: float) -> None:
     """Import what `run` imports later, then run, listening to JAX."""
-    from sweeps.cli import importing
     from sweeps.cli import main as fic_sweep
+    from sweeps.cli.process import importing
 
     with importing():
         import jax

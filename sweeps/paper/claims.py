@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from sweeps.paper import attractor, contact, impact, online_gains, stability, welded
 from sweeps.paper.judge import judge
 from sweeps.paper.record import PRINTED, Claim, Judgement, Reading
-from sweeps.spec.types import SweepError
+from sweeps.spec.mistakes import SweepError
 
 CLAIMS: tuple[Claim, ...] = (
     *welded.CLAIMS,

@@ -20,7 +20,7 @@ from sweeps.paper.page import Page, conditions_table
 from sweeps.paper.record import Claim, Judgement, Reading
 from sweeps.paper.web import page_html
 from sweeps.provenance import provenance
-from sweeps.spec.types import SweepError
+from sweeps.spec.mistakes import SweepError
 from sweeps.store.opening import dataset
 
 # The printed reading; its claims are also tried at shorter periods, of which the paper names none.

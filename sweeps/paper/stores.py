@@ -6,8 +6,8 @@ from pathlib import Path
 
 from sweeps import runner
 from sweeps.runner import Progress
+from sweeps.spec.mistakes import SweepError
 from sweeps.spec.reading import load
-from sweeps.spec.types import SweepError
 from sweeps.store.opening import Store, open_store
 
 PRECISION = 32  # bits of a store that is run here, as of `fic-sweep run`

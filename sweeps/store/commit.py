@@ -20,7 +20,7 @@ from zarr.storage import MemoryStore
 
 from fic_jax import Metrics, trusted
 from sweeps.plan.grid import Grid, cells_of, shape_of
-from sweeps.spec.types import SweepError
+from sweeps.spec.mistakes import SweepError
 from sweeps.store import format as layout
 from sweeps.store import fsync as durable
 from sweeps.store import ledger as ledgers

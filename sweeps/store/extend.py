@@ -12,7 +12,8 @@ import numpy as np
 from fic_jax import CHOICES, Model, Params
 from sweeps.plan.grid import Grid, shape_of
 from sweeps.provenance import KEPT
-from sweeps.spec.types import Sweep, SweepError
+from sweeps.spec.mistakes import SweepError
+from sweeps.spec.types import Sweep
 from sweeps.store import fsync as durable
 from sweeps.store.commit import Values, Writer, changing, no_values, now
 from sweeps.store.format import away, building, lay_out, refuse_small_disk

@@ -14,7 +14,8 @@ from zarr.codecs import BloscCodec, Crc32cCodec
 
 from fic_jax import METRICS, QUANTITIES, TRUST
 from sweeps.plan.grid import Grid
-from sweeps.spec.types import Sweep, SweepError
+from sweeps.spec.mistakes import SweepError
+from sweeps.spec.types import Sweep
 from sweeps.store import ledger as ledgers
 from sweeps.store import lock as owner
 from sweeps.store.fsync import PARTIAL, sync, sync_tree

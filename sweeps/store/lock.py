@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from sweeps.spec.types import SweepError, shown
+from sweeps.spec.mistakes import SweepError, printable
 
 NAME = "owner.lock"
 
@@ -45,7 +45,7 @@ def owning(folder: Path) -> Iterator[Owner]:
             told = _read(descriptor)
             who = f"process {told.get('pid', '?')} on {told.get('host', '?')}"
             raise SweepError(
-                f"{folder}: is being changed by {shown(who)}; wait for it to end"
+                f"{folder}: is being changed by {printable(who)}; wait for it to end"
             ) from None
         died_at = _read(descriptor).get("block")
         _note(descriptor, None)

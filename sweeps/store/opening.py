@@ -17,8 +17,9 @@ import numpy as np
 import zarr
 
 from sweeps.plan.grid import Grid
+from sweeps.spec.mistakes import SweepError, printable
 from sweeps.spec.reading import validate
-from sweeps.spec.types import STORED, Sweep, SweepError, shown
+from sweeps.spec.types import STORED, Sweep
 from sweeps.store import ledger as ledgers
 from sweeps.store.fsync import PARTIAL
 from sweeps.store.ledger import DONE, SET_ASIDE, Fixed, Ledger, LedgerError, Row, intact
@@ -183,7 +184,7 @@ def open_store(path: Path, mode: Any = "r") -> Store:
         if chunk < 1 or dtype not in ("float32", "float64"):
             raise ValueError(f"block_cells {chunk}, dtype {dtype}")
     except Exception as error:  # whatever zarr and pydantic make of somebody else's file
-        told = shown(" ".join(str(error).split())[:150])
+        told = printable(" ".join(str(error).split())[:150])
         raise SweepError(f"{path}: is no result store of fic-sweep ({told})") from None
     if written_format not in (1, FORMAT):
         raise SweepError(f"{path}: has format {written_format}; this program reads up to {FORMAT}")

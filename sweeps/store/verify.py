@@ -9,7 +9,7 @@ from pathlib import Path
 
 from sweeps.provenance import KEPT
 from sweeps.runner import Tell, run
-from sweeps.spec.types import SweepError
+from sweeps.spec.mistakes import SweepError
 from sweeps.store import fsync as durable
 from sweeps.store import ledger as ledgers
 from sweeps.store import lock as owner
