@@ -1,15 +1,16 @@
-"""Compiled programs are kept from run to run, and change no number."""
+"""A later run loads the compiled program from the cache; the cache changes no number."""
 
 import os
+import shutil
 from pathlib import Path
 
 import pytest
 
-from sweeps import compile_cache as cache
+from sweeps import compile_cache
 from tests.command import call
 
 SWEEP = """
-name = "kept"
+name = "cached"
 [time]
 t_end = 0.2
 [axes]
@@ -17,57 +18,73 @@ K0 = { log = [1.0, 1000.0], n = 9 }
 """
 
 
-def run(folder: Path, kept: str) -> bytes:
-    """Run the sweep into a new store; returns the bytes of its metrics."""
+def run(folder: Path, cache: str) -> bytes:
+    """Run the sweep into a new store; returns the bytes of its numbers."""
     folder.mkdir()
-    (folder / "kept.toml").write_text(SWEEP)
-    environment = os.environ | {cache.VARIABLE: kept}
-    call("run", "kept.toml", code=0, folder=folder, environment=environment)
-    chunks = sorted((folder / "kept.zarr").glob("*/c.*"))
+    (folder / "cached.toml").write_text(SWEEP)
+    environment = os.environ | {compile_cache.VARIABLE: cache}
+    call("run", "cached.toml", code=0, folder=folder, environment=environment)
+    chunks = sorted((folder / "cached.zarr").glob("*/c.*"))
     assert chunks
     return b"".join(chunk.read_bytes() for chunk in chunks)
 
 
-def test_a_second_run_takes_the_kept_program_and_gives_the_same_bits(tmp_path):
-    kept = tmp_path / "kept"
-    first = run(tmp_path / "first", str(kept))
-    (program,) = kept.rglob("fic_jax-*.o")
-    made = program.stat().st_mtime_ns
-    assert run(tmp_path / "second", str(kept)) == first
-    assert program.stat().st_mtime_ns == made
-    assert run(tmp_path / "none", "") == first
+def program_in(cache: Path) -> Path:
+    (program,) = cache.rglob("fic_jax-*.o")
+    return program
 
 
-@pytest.mark.parametrize("change", [lambda b: b[: len(b) // 2], lambda b: b[:99] + b"x" + b[100:]])
-def test_a_spoilt_program_is_made_again(tmp_path, change):
-    kept = tmp_path / "kept"
-    first = run(tmp_path / "first", str(kept))
-    (program,) = kept.rglob("fic_jax-*.o")
-    whole = program.read_bytes()
-    program.write_bytes(change(whole))
-    assert run(tmp_path / "second", str(kept)) == first
-    assert program.read_bytes() == whole
+@pytest.fixture(scope="module")
+def first(tmp_path_factory):
+    """The cache after one run, and the numbers of that run."""
+    folder = tmp_path_factory.mktemp("first")
+    return folder / "cache", run(folder / "run", str(folder / "cache"))
 
 
-def test_the_folder_is_the_users_choice(tmp_path, monkeypatch):
-    monkeypatch.setenv(cache.VARIABLE, str(tmp_path / "mine"))
-    assert cache.folder().parent == tmp_path / "mine"
-    monkeypatch.delenv(cache.VARIABLE)
+@pytest.fixture
+def cache(first, tmp_path):
+    return Path(shutil.copytree(first[0], tmp_path / "cache"))
+
+
+def test_a_second_run_loads_the_program_and_gives_the_same_numbers(first, cache, tmp_path):
+    written = program_in(cache).stat().st_mtime_ns
+    assert run(tmp_path / "second", str(cache)) == first[1]
+    assert program_in(cache).stat().st_mtime_ns == written
+
+
+def test_a_run_without_a_cache_gives_the_same_numbers(first, tmp_path):
+    assert run(tmp_path / "none", "") == first[1]
+
+
+@pytest.mark.parametrize(
+    "change", [lambda b: b[: len(b) // 2], lambda b: b[:99] + b"x" + b[100:]], ids=["cut", "byte"]
+)
+def test_a_damaged_program_is_compiled_again(first, cache, tmp_path, change):
+    whole = program_in(cache).read_bytes()
+    program_in(cache).write_bytes(change(whole))
+    assert run(tmp_path / "second", str(cache)) == first[1]
+    assert program_in(cache).read_bytes() == whole
+
+
+def test_the_user_chooses_the_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv(compile_cache.VARIABLE, str(tmp_path / "mine"))
+    assert compile_cache.folder().parent == tmp_path / "mine"
+    monkeypatch.delenv(compile_cache.VARIABLE)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "all"))
-    assert cache.folder().parent == tmp_path / "all" / "fic-sweep"
+    assert compile_cache.folder().parent == tmp_path / "all" / "fic-sweep"
 
 
-@pytest.mark.parametrize("kept", ["", "/proc/nowhere"])
-def test_nothing_is_kept_where_it_is_not_wanted_or_can_not_be(kept, monkeypatch):
-    monkeypatch.setenv(cache.VARIABLE, kept)
-    assert cache.folder() is None
+@pytest.mark.parametrize("folder", ["", "/proc/nowhere"], ids=["switched off", "not writable"])
+def test_no_folder_no_cache(folder, monkeypatch):
+    monkeypatch.setenv(compile_cache.VARIABLE, folder)
+    assert compile_cache.folder() is None
 
 
-def test_nothing_is_kept_without_a_home(monkeypatch):
-    def homeless():
+def test_no_home_no_cache(monkeypatch):
+    def no_home():
         raise RuntimeError("Could not determine home directory.")
 
-    for name in (cache.VARIABLE, "XDG_CACHE_HOME"):
+    for name in (compile_cache.VARIABLE, "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(Path, "home", homeless)
-    assert cache.folder() is None
+    monkeypatch.setattr(Path, "home", no_home)
+    assert compile_cache.folder() is None
