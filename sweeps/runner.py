@@ -2,7 +2,7 @@
 
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Generator, Iterator, Mapping
+from collections.abc import Callable, Collection, Generator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -12,7 +12,6 @@ import jax
 import numpy as np
 
 from fic_jax import Metrics, Params, sweep, tune_for_throughput
-from fic_jax.stiffness import fastest_rate
 from sweeps import compile_cache
 from sweeps.plan.grid import Block, Grid, cells_of
 from sweeps.provenance import IDENTITY, provenance
@@ -26,8 +25,6 @@ from sweeps.store.lock import Owner
 from sweeps.store.opening import DIVERGED, FAILED, OK, Store, Tally, open_store
 
 ATTEMPTS = 3  # at a block before it is set aside
-STABLE = 2.78  # |lambda| dt beyond which RK4 diverges on a linear system
-ACCURATE = 1.0  # |lambda| dt up to which a step resolves it
 
 MEASURED_STEPS = 30_000_000  # plant steps of a dry run's measurement, some tenths of a second
 MEASURED_LEAST = 512  # scenarios, so that no device has idle lanes
@@ -206,23 +203,3 @@ def measure(grid: Grid, dtype: str) -> tuple[float, float]:
         _compute(grid, block, dtype, slice(n))
         seconds.append(time.perf_counter() - began)
     return max(seconds[0] - seconds[1], 0.0), n / seconds[1]
-
-
-def warnings_of(plan: Sweep) -> Iterator[str]:
-    """What is allowed but should be known: a non-monotone profile, a coarse dt."""
-    p = plan.extremes()
-    with np.errstate(all="ignore"):  # extremes may overflow; the comparison still stands
-        overshoot = np.max(np.asarray(p.K0) * np.asarray(p.x0) / np.asarray(p.Fmax))
-        stiffest = fastest_rate(p) * plan.time.dt
-    if overshoot > 1.0:
-        yield (
-            f"K0*x0 reaches {overshoot:.3g} times Fmax: there the force profile (eq. 1) is not "
-            "monotone and the torque is cut off at Fmax"
-        )
-    if stiffest > ACCURATE:
-        state = "unstable" if stiffest > STABLE else "inaccurate"
-        yield (
-            f"dt = {plan.time.dt:g} s is {stiffest:.3g} times the time constant of the stiffest "
-            f"scenario: RK4 is {state} there (it resolves up to {ACCURATE:g}, diverges beyond "
-            f"{STABLE:g}); dt = {plan.time.dt / stiffest:.2g} s would do"
-        )

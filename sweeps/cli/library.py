@@ -52,7 +52,7 @@ def find(what: str) -> Path:
 
 def warn(sweep: "Sweep") -> None:
     """Print what the user should know about an allowed sweep, on stderr."""
-    from sweeps.runner import warnings_of
+    from sweeps.spec.warnings import warnings_of
 
     for line in warnings_of(sweep):
         complain(f"warning: {sweep.name}: {line}")

@@ -8,4 +8,5 @@
 6. Otherwise the caller gets the Sweep: frozen, equal to any other Sweep of the same record.
 
 A store keeps the record as JSON; `reading.validate` turns it into a Sweep by steps 3 to 6.
+`warnings` has a line for what is allowed but may surprise.
 """

@@ -34,7 +34,9 @@ def test_a_terminal_gets_a_bar_that_leaves_no_trace(folder, monkeypatch):
     store = runner.start(folder / "tiny.zarr", load(folder / "tiny.toml"), 2, 32)
     terminal = Terminal()
     monkeypatch.setattr(sys, "stdout", terminal)
-    monkeypatch.setenv("TERM", "xterm")
+    for name, value in {"TERM": "xterm", "COLUMNS": "80"}.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.delenv("TTY_COMPATIBLE", raising=False)
     assert progress.run_with_progress(store, Stop()).ran == 12
     drawn = terminal.getvalue()
     assert "tiny" in drawn

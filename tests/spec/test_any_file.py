@@ -17,11 +17,11 @@ from fic_jax import CHOICES, QUANTITIES
 from sweeps.cli.library import LIBRARY
 from sweeps.cli.messages import plan_lines
 from sweeps.plan.grid import MAX_BLOCKS, Grid
-from sweeps.runner import warnings_of
 from sweeps.spec.mistakes import SweepError
 from sweeps.spec.reading import MAX_FILE, MAX_MISTAKES, load, parse, validate
 from sweeps.spec.rules import out_of_bounds
 from sweeps.spec.types import COUPLED, MAX_CELLS
+from sweeps.spec.warnings import warnings_of
 from sweeps.store.format import size
 from tests import faults
 from tests.effort import lines_executed
@@ -74,7 +74,7 @@ def affordable(lines, text):
     return lines < LINES_PER_LETTER * len(text) + LINES_FOR_KEYS
 
 
-CORPUS = [path.read_text() for path in sorted(LIBRARY.glob("*.toml"))] + [
+CORPUS = [path.read_text(encoding="utf-8") for path in sorted(LIBRARY.glob("*.toml"))] + [
     """
 name = "all"
 description = "every table"

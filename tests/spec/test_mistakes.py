@@ -1,5 +1,7 @@
 """Each mistake in a sweep file gets a line: file, key, value, what would be right."""
 
+import re
+
 import pytest
 
 from sweeps.spec.mistakes import SweepError
@@ -32,6 +34,8 @@ WRONG = {
     GOOD + "[cases]\nx0 = [0.1, 0.3]\nxb = [0.2, 0.25]": "`xb` must be greater than x0 = 0.3",
     GOOD
     + "period = [0.015]": "`axes.period` must be a whole multiple of dt = 0.01 s (nearest: 0.02)",
+    GOOD + "period = { lin = [0.01, 0.02], n = 3 }": "whole multiple of dt = 0.01 s (nearest: 0.02",
+    GOOD + "[cases]\nperiod = [0.01, 0.025]": "`cases.period` must be a whole multiple of dt",
     GOOD + "period = [1e308]": "`axes.period` must be at most 2,147,483,647 steps of dt, but is 1e",
     GOOD + "[time]\ndt = 0.3": "`time.t_end` must be a whole multiple of dt = 0.3 s (nearest: 9.9)",
     GOOD + "[time]\ndt = -1": "`time.dt` must be greater than 0, but is -1.",
@@ -85,6 +89,46 @@ def test_each_mistake_gets_a_line(text, lines):
     with pytest.raises(SweepError) as refusal:
         parse(text, "mine.toml")
     assert len(str(refusal.value).splitlines()) == lines
+
+
+def axes(last):
+    fields = {"K0": 1000, "Kenv": 1000, "Td": 1000, "I": last}
+    lines = (f"{name} = {{ lin = [1, 9], n = {n} }}" for name, n in fields.items())
+    return 'name = "a"\n[axes]\n' + "\n".join(lines)
+
+
+def periods(n):
+    return f'name = "a"\n[axes]\nperiod = {{ lin = [0.01, {n / 100}], n = {n} }}'
+
+
+@pytest.mark.parametrize(
+    ("largest", "too_large", "message"),
+    [
+        (axes(1000), axes(1001), "at most 1,000,000,000,000 scenarios, but has 1001000000000."),
+        (periods(1_000_000), periods(1_000_001), "`axes.period.n` must be at most 1,000,000"),
+        (
+            *(
+                f'{SAMPLE[:-2]}{n}\nmethod = "lhs"\nranges = {{ Td = {{ lin = [1, 2] }}, '
+                "K0 = { lin = [1, 2] } }"
+                for n in (5_000_000, 5_000_001)
+            ),
+            "`sample.n` must be at most 5,000,000 with lhs",
+        ),
+        (
+            *(f"{GOOD}[time]\ndt = 1e-6\nt_end = {t_end}" for t_end in ("100.0", "100.000001")),
+            "`time.t_end` must be at most 100,000,000 steps of dt",
+        ),
+        (
+            *(f"{GOOD}[cases]\ngap = {[0.0] * n}" for n in (10_000, 10_001)),
+            "`cases.gap` must be at most 10000 values long",
+        ),
+    ],
+    ids=["cells", "periods", "lhs", "steps", "cases"],
+)
+def test_a_size_may_reach_its_limit(largest, too_large, message):
+    parse(largest, "mine.toml")
+    with pytest.raises(SweepError, match=re.escape(message)):
+        parse(too_large, "mine.toml")
 
 
 def test_every_stored_metric_may_be_named():
