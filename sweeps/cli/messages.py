@@ -1,6 +1,7 @@
 """What the commands print, as lines of text."""
 
 import math
+import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -41,14 +42,16 @@ def expectation(grid: Grid, compiling: float, rate: float) -> str:
 def status_lines(store: Store) -> list[str]:
     """How far a store is, and which program made it on which device."""
     tally, attrs, grid = Tally.of(store), store.group.attrs.asdict(), store.grid
+    diverged = _diverged(store) if tally.cells["diverged"] else ()
+    trusted = [_trusted(store, tally)] if grid.sweep.error_estimate else []
     made_by = f"fic_jax {attrs['fic_jax']} ({attrs['revision']}), jax {attrs['jax']}"
     return [
         f"{store.path}: {grid.sweep.name}, {_dims(grid)}",
         f"done      {tally.done:,} of {grid.cells:,} cells ({_percent(tally.done, grid.cells)})",
         *(f"  {name:8}{count:>14,}" for name, count in tally.cells.items()),
-        *(f"diverged  {scenario}" for scenario in _diverged(store)),
+        *(f"diverged  {scenario}" for scenario in diverged),
         *(f"failed    {block}" for block in _set_aside(store, tally.set_aside)),
-        *(f"trusted   {share}" for share in _trusted(store, tally)),
+        *(f"trusted   {share}" for share in trusted),
         f"blocks    {len(tally.pending):,} of {grid.n_blocks:,} to do",
         printable(f"began     {attrs['start']}, ended {attrs.get('end', 'not yet')}"),
         printable(f"made by   {made_by}"),
@@ -122,14 +125,15 @@ def summary(store: Store, result: Progress) -> str:
     speed = f", {rate:,.0f}/s ({steps:,.0f} M steps/s)" if steps >= 1 else ""
     diverged = f", {result.diverged:,} diverged" if result.diverged else ""
     parts = [f"{result.ran:,} scenarios in {_duration(result.seconds)}{speed}{diverged}"]
-    parts += [f"trusted {share}" for share in _trusted(store, Tally.of(store))]
+    if store.grid.sweep.error_estimate:
+        parts.append(f"trusted {_trusted(store, Tally.of(store))}")
     return f"{store.path}: {'; '.join(parts)}"
 
 
 def failed_blocks(store: Store, result: Progress) -> Iterator[str]:
     """Which blocks a run could not compute, and how to try again."""
     blocks = f"{counted(len(result.set_aside), 'block')} of {store.grid.n_blocks:,}"
-    yield f"{blocks} failed and set aside; `fic-sweep resume {store.path}` tries again"
+    yield f"{blocks} failed and set aside; {_resume(store)} tries again"
     yield from _set_aside(store, result.set_aside)
 
 
@@ -152,12 +156,17 @@ def verification(path: Path, report: Report) -> Iterator[str]:
 def interrupted(store: Store, error: BaseException) -> str:
     """Why a run ended early, how many blocks are done, and how to continue."""
     why = "interrupted" if isinstance(error, KeyboardInterrupt) else f"failed: {_reason(error)}"
-    total, rest = store.grid.n_blocks, f"`fic-sweep resume {store.path}` does the rest"
+    total, rest = store.grid.n_blocks, f"{_resume(store)} does the rest"
     try:
         done = total - len(Tally.of(store).pending)
     except (OSError, SweepError):  # the folder is gone, or has become unreadable
         return f"{why}; what was finished is kept if the folder is, {rest}"
     return f"{why}; {done} of {total} blocks are kept, {rest}"
+
+
+def _resume(store: Store) -> str:
+    """The command that continues a store, quoted for a shell."""
+    return f"`fic-sweep resume {shlex.quote(str(store.path))}`"
 
 
 def system_error(path: Path, error: OSError) -> str:
@@ -172,12 +181,11 @@ def _reason(error: BaseException) -> str:
     return f"{file}: {words}" if file else words
 
 
-def _trusted(store: Store, tally: Tally) -> Iterator[str]:
-    """How many of the finished cells are trusted; nothing if the store has no error estimates."""
-    if store.grid.sweep.error_estimate:
-        share = f"{tally.trusted:,} of {tally.done:,} cells ({_percent(tally.trusted, tally.done)})"
-        bound = float(str(store.group.attrs["trust_bound"]))
-        yield f"{share}, nmse known to {100 * bound:g} %"
+def _trusted(store: Store, tally: Tally) -> str:
+    """How many of the finished cells are trusted, in a store with error estimates."""
+    share = f"{tally.trusted:,} of {tally.done:,} cells ({_percent(tally.trusted, tally.done)})"
+    bound = float(str(store.group.attrs["trust_bound"]))
+    return f"{share}, nmse known to {100 * bound:g} %"
 
 
 def _dims(grid: Grid) -> str:

@@ -25,7 +25,7 @@ def report(
         list[str] | None, typer.Option(metavar="ID", help="print these claims alone, as C12")
     ] = None,
 ) -> None:
-    """Compare the paper's claims with simulations: report.md and report.html, in some minutes."""
+    """Compare the paper's claims with simulations. Writes report.md and .html, in some minutes."""
     stop = interruption.stop_on_signals()
     from sweeps import runner
     from sweeps.paper import compose

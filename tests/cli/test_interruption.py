@@ -4,6 +4,7 @@ The signal comes from inside the run, at a chosen place, so that neither load no
 """
 
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -103,3 +104,15 @@ def test_a_stop_during_the_last_block_completes_the_run(folder, monkeypatch):
     assert (ended.code, ended.stderr) == (0, "")
     assert ended.stdout == "tiny.zarr: complete already, 12 scenarios\n"
     assert re.search(r"ended 20\d\d-", typed("status", "tiny.zarr").stdout)
+
+
+def test_the_command_that_an_interrupted_run_prints_works_when_pasted(folder, monkeypatch):
+    stopped = interruption.Stop(requested=True)
+    with monkeypatch.context() as patch:
+        patch.setattr(interruption, "Stop", lambda: stopped)
+        ended = typed("run", "tiny.toml", "--out", "my store.zarr")
+    assert ended.code == 1
+    command = re.search("`fic-sweep (.*)` does the rest", ended.stderr)[1]
+    resumed = typed(*shlex.split(command))
+    assert (resumed.code, resumed.stderr) == (0, "")
+    assert resumed.stdout.startswith("my store.zarr: 12 scenarios in ")
