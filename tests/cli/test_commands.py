@@ -1,6 +1,7 @@
 """What each command writes and prints."""
 
 import re
+import shutil
 
 import numpy as np
 import pandas as pd
@@ -48,6 +49,23 @@ def test_status_counts_cells_and_blocks(ran):
     assert "blocks    0 of 1 to do" in status
     assert re.search(r"ended 20\d\d-", status)
     assert "trusted" not in status
+
+
+def test_verify_finds_a_changed_file_and_repairs_it(ran, folder):
+    shutil.copytree(ran / "tiny.zarr", folder / "tiny.zarr")
+    good = typed("verify", "tiny.zarr")
+    assert re.fullmatch(r"tiny\.zarr: 1 block, \d+ files: all as written\n", good.stdout)
+    (chunk,) = (folder / "tiny.zarr" / "nmse").glob("c.*")
+    written = chunk.read_bytes()
+    chunk.write_bytes(written[:-1] + bytes([written[-1] ^ 1]))
+    bad = typed("verify", "tiny.zarr")
+    assert bad.code == 1
+    assert f"1 not as written\n  nmse/{chunk.name} " in bad.stdout
+    repaired = typed("verify", "tiny.zarr", "--repair")
+    assert repaired.code == 0
+    assert "tiny.zarr: computing 1 block again\n" in repaired.stdout
+    assert repaired.stdout.endswith("all as written\n")
+    assert chunk.read_bytes() == written
 
 
 def test_resume_of_a_finished_store_runs_nothing(ran):
