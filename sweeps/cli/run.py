@@ -8,7 +8,7 @@ import typer
 
 from sweeps.cli import interruption
 from sweeps.cli.arguments import StorePath, SweepName
-from sweeps.cli.errors import complain, fail, system_errors_reported
+from sweeps.cli.errors import fail, system_errors_reported
 from sweeps.cli.library import find, warn
 from sweeps.cli.process import importing
 from sweeps.cli.progress import run_with_progress
@@ -128,5 +128,4 @@ def _finish(store: "Store", stop: interruption.Stop) -> None:
     with system_errors_reported(store.path):
         print(summary(store, result))
     if result.set_aside:
-        complain("\n".join(failed_blocks(store, result)))
-        raise typer.Exit(1)
+        fail("\n".join(failed_blocks(store, result)))
