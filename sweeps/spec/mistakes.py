@@ -25,9 +25,7 @@ def hint(word: str, known: Iterable[str]) -> str:
     """'; did you mean `x`?' if `word` resembles a known word, else all the known words."""
     names = list(known)
     lower = {name.lower(): name for name in names}
-    # difflib takes time with the square of the length
-    short = word.lower() if len(word) <= MAX_QUOTED else ""
-    near = difflib.get_close_matches(short, lower, n=1, cutoff=0.5)
+    near = difflib.get_close_matches(word.lower(), lower, n=1, cutoff=0.5)
     return f"; did you mean `{lower[near[0]]}`?" if near else "; known are " + ", ".join(names)
 
 

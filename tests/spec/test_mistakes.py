@@ -6,6 +6,7 @@ import pytest
 
 from sweeps.spec.mistakes import SweepError
 from sweeps.spec.reading import parse
+from sweeps.spec.rules import out_of_bounds
 from sweeps.spec.types import STORED
 
 GOOD = 'name = "a"\n[axes]\nK0 = { log = [1.0, 1000.0], n = 4 }\n'
@@ -31,6 +32,8 @@ WRONG = {
     GOOD + "Td = [0, 1]": "`axes.Td` must be non-zero and finite, but is 0.",
     GOOD + "[constants]\nxb = 0.1": "`xb` must be greater than x0 = 0.1, but is 0.1.",
     GOOD + "x0 = [0.05, 0.2]": "`xb` must be greater than x0 = 0.2, but is 0.11 (the default).",
+    GOOD + "x0 = [0.05, 0.1]\nxb = [0.08, 0.2]": "`xb` must be greater than x0 = 0.1, but is 0.08.",
+    SAMPLE + "ranges = { x0 = { lin = [0.05, 0.1] }, xb = { lin = [0.08, 0.2] } }": "x0 = 0.1, but",
     GOOD + "[cases]\nx0 = [0.1, 0.3]\nxb = [0.2, 0.25]": "`xb` must be greater than x0 = 0.3",
     GOOD
     + "period = [0.015]": "`axes.period` must be a whole multiple of dt = 0.01 s (nearest: 0.02)",
@@ -89,6 +92,20 @@ def test_each_mistake_gets_a_line(text, lines):
     with pytest.raises(SweepError) as refusal:
         parse(text, "mine.toml")
     assert len(str(refusal.value).splitlines()) == lines
+
+
+@pytest.mark.parametrize(
+    ("axis", "line"),
+    [
+        ("I = [1e-50, 1.0]", "`axes.I` must be positive and finite, but is 0."),
+        ("K0 = [1e300, 1.0]", "`axes.K0` must be positive and finite, but is inf."),
+        ("xb = [0.1000000001]", "`xb` must be greater than x0 = 0.1, but is 0.1."),
+    ],
+)
+def test_a_value_must_keep_its_bound_in_the_precision_of_the_store(axis, line):
+    sweep = parse(f'name = "a"\n[axes]\n{axis}', "mine.toml")
+    assert list(out_of_bounds(sweep, "float64")) == []
+    assert list(out_of_bounds(sweep, "float32")) == [line]
 
 
 def axes(last):
