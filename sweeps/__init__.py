@@ -11,3 +11,7 @@
 
 Imports point one way: cli -> paper -> runner -> store -> plan -> spec -> fic_jax.
 """
+
+from pathlib import Path
+
+LIBRARY = Path(__file__).parent / "library"

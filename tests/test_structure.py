@@ -66,11 +66,12 @@ ROOMS = {
     "sweeps.provenance": {"fic_jax", "sweeps"},  # sweeps: where the sources are
     "sweeps.runner": RUNNER,
     "sweeps.export": STORE,
-    "sweeps.paper": {*RUNNER, "sweeps.paper"},
+    "sweeps.paper": {*RUNNER, "sweeps.paper", "sweeps"},  # sweeps: where its library is
     "figures": {*STORE, "figures"},
     "sweeps.bench": {*RUNNER, "sweeps.processor", "sweeps.bench", "sweeps.cli"},
     "sweeps.cli": {
         *RUNNER,
+        "sweeps",
         "sweeps.export",
         "sweeps.paper",
         "sweeps.bench",

@@ -3,13 +3,12 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sweeps import LIBRARY
 from sweeps.cli.arguments import SweepName
 from sweeps.cli.errors import complain, refuse
 
 if TYPE_CHECKING:
     from sweeps.spec.types import Sweep
-
-LIBRARY = Path(__file__).parent.parent / "library"
 
 
 def list_() -> None:

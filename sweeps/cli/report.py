@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from sweeps import LIBRARY
 from sweeps.cli import interruption
 from sweeps.cli.errors import fail
-from sweeps.cli.library import LIBRARY
 
 if TYPE_CHECKING:
     from sweeps.paper.compose import Surroundings

@@ -14,7 +14,7 @@ import sys
 import pytest
 
 from fic_jax import CHOICES, QUANTITIES
-from sweeps.cli.library import LIBRARY
+from sweeps import LIBRARY
 from sweeps.cli.messages import plan_lines
 from sweeps.plan.grid import MAX_BLOCKS, Grid
 from sweeps.spec.mistakes import SweepError

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sweeps.cli.library import LIBRARY
+from sweeps import LIBRARY
 from sweeps.plan.grid import Grid
 from sweeps.spec.reading import load
 from sweeps.spec.types import SpacedRange
