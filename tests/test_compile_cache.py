@@ -30,7 +30,7 @@ def run(folder: Path, cache: str) -> bytes:
 
 
 def program_in(cache: Path) -> Path:
-    (program,) = cache.rglob("fic_jax-*.o")
+    (program,) = cache.rglob("*.o")
     return program
 
 
