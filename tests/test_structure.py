@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-PACKAGES = ("fic_jax", "sweeps", "figures")
+PACKAGES = ("fic_jax", "sweeps", "figures", "benchmarks")
 
 # module of the physics -> modules of fic_jax that it may import
 ARROWS = {
@@ -45,13 +45,15 @@ ROOMS = {
     "sweeps.export": STORE,
     "sweeps.paper": {*RUNNER, "sweeps.paper", "sweeps"},  # sweeps: where its library is
     "figures": {*STORE, "figures"},
-    "sweeps.bench": {*RUNNER, "sweeps.processor", "sweeps.bench", "sweeps.cli"},
+    "benchmarks": {*RUNNER, "sweeps.processor", "benchmarks", "figures"},
+    "benchmarks.__main__": {"sweeps.cli"},  # `python -m benchmarks` is `fic-sweep bench`
+    "benchmarks.fic_sweep": {"benchmarks", "sweeps.cli", "sweeps.runner"},  # times a whole process
     "sweeps.cli": {
         *RUNNER,
         "sweeps",
         "sweeps.export",
         "sweeps.paper",
-        "sweeps.bench",
+        "benchmarks",
         "sweeps.cli",
         "figures",
     },

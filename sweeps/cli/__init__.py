@@ -1,4 +1,4 @@
-"""`fic-sweep`, the command line. Only this folder prints, and only this folder draws.
+"""`fic-sweep`, the command line. Only this folder prints, draws and measures.
 
 - `library`: `list`, `show`; finds a sweep by its name or file
 - `run`: `run`, `resume`

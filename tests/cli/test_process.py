@@ -29,7 +29,10 @@ COMMANDS = [
     "bench",
     "report",
 ]
-LARGE = {"jax", "numpy", "scipy", "xarray", "zarr", "pandas", "pydantic", "matplotlib", "fic_jax"}
+LARGE = {
+    "jax", "numpy", "scipy", "xarray", "zarr", "pandas", "pydantic", "matplotlib", "fic_jax",
+    "figures", "benchmarks",
+}  # fmt: skip
 
 
 def test_help_names_every_command_and_imports_no_large_package():
