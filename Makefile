@@ -11,9 +11,9 @@ BIN := $(VENV)/bin
 SWEEPS := paper-welded paper-contact period-map atlas-small
 
 # every branch of what a sweep's numbers hang on; of the rest all but a few
-WHOLE := durable ledger owner commit store grid
-NEARLY := layout runner verify extend design
-STORE_TESTS := $(patsubst %,tests/test_%.py,store validation golden untrusted state_machine branches)
+WHOLE := $(addprefix store/,fsync lock ledger opening commit) plan/grid
+NEARLY := $(addprefix store/,format create extend verify) runner plan/design
+STORE_TESTS := tests/store tests/test_runner.py tests/test_validation.py
 modules = $(subst $() ,$(comma),$(patsubst %,sweeps/%.py,$(1)))
 comma := ,
 
@@ -39,7 +39,7 @@ lint: $(VENV)/installed
 	$(BIN)/mypy
 
 torture: $(VENV)/installed
-	FIC_SWEEP_TORTURE=1 $(BIN)/pytest -s $(patsubst %,tests/test_%.py,durability state_machine fuzz untrusted native)
+	FIC_SWEEP_TORTURE=1 $(BIN)/pytest -s tests/store tests/test_fuzz.py tests/test_native.py
 
 coverage: $(VENV)/installed
 	$(BIN)/pytest --cov --cov-report= $(STORE_TESTS)

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from figures import hatch, style
 from figures.planes import Axis, PlotError, Slice, select
-from sweeps.store.opening import ERRORS
+from sweeps.store.format import ERRORS
 
 LOG_METRICS = ("nmse", "nmse_tail", *ERRORS)  # decades are what the paper argues with
 LINEAR_METRICS = ("convergence_time", "contact_time")

@@ -23,7 +23,7 @@ from sweeps.spec.reading import MAX_FILE, MAX_TOLD, load, parse, validate
 from sweeps.spec.rules import out_of_bounds
 from sweeps.spec.types import COUPLED, MAX_CELLS, STORED, SweepError
 from sweeps.store.format import size
-from tests import faults
+from tests.store import faults
 
 TORTURE = bool(os.environ.get(faults.TORTURE))
 FILES = 12_000 if TORTURE else 400

@@ -23,8 +23,8 @@ from fic_jax.lanes.tracing import traced
 from fic_jax.lanes.turns import recall
 from fic_jax.lanes.vectors import kernel
 from fic_jax.params import QUANTITIES
-from tests import faults
 from tests.programs import N_COLUMNS, N_RESULTS, program
+from tests.store import faults
 
 ROOT = Path(__file__).parent.parent
 PROGRAMS = 1000 if os.environ.get(faults.TORTURE) else 40
@@ -75,7 +75,7 @@ def ones(condition, x):
 
 
 NUMBERS = {
-    "add": lambda x, y: x + y,
+    "insert": lambda x, y: x + y,
     "sub": lambda x, y: x - y,
     "mul": lambda x, y: x * y,
     "div": lambda x, y: x / y,

@@ -167,6 +167,7 @@ def verify(
     repair: Annotated[bool, typer.Option("--repair", help="compute again what is bad")] = False,
 ) -> None:
     """Compare every file of a store with its ledger."""
+    from sweeps import runner
     from sweeps.cli.messages import interruption, many, verification
     from sweeps.store import verify as check
 
@@ -177,15 +178,15 @@ def verify(
 
     with _kept(path):
         report = look()
-        if repair and report.frame:
-            check.mend_frame(path)
+        if repair and report.metadata:
+            check.repair_metadata(path)
             report = look()
         blocks = report.bad_blocks
         if repair and blocks:
             print(f"{path}: computing {many(len(blocks), 'block')} again", flush=True)
             asked, store = _stop_between_blocks(), _reopened(path)
             try:
-                other = check.recompute(store, blocks, lambda told: _stop_if(asked, told))
+                other = runner.recompute(store, blocks, lambda told: _stop_if(asked, told))
             except KeyboardInterrupt as error:
                 print(f"fic-sweep: {interruption(store, error)}", file=sys.stderr)
                 raise typer.Exit(1) from None
@@ -446,12 +447,12 @@ def _carry_out(store: "Store", asked: list[int]) -> None:
     """Run a store to its end, with progress; whatever happens, finished blocks stay."""
     from sweeps.cli.messages import failure, interruption, summary
     from sweeps.runner import run
-    from sweeps.store.opening import Tally
+    from sweeps.store.opening import Counts
 
     try:
         result = (_with_bar if sys.stdout.isatty() else _with_lines)(store, asked)
     except (KeyboardInterrupt, OSError) as error:
-        if isinstance(error, OSError) or Tally.of(store).pending:
+        if isinstance(error, OSError) or Counts.of(store).pending:
             print(f"fic-sweep: {interruption(store, error)}", file=sys.stderr)
             raise typer.Exit(1) from None
         result = run(store, lambda _: None)  # the block in hand was the last: only its end is left

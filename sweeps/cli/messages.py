@@ -9,9 +9,9 @@ import numpy as np
 from sweeps.plan.grid import Grid
 from sweeps.runner import Progress
 from sweeps.spec.types import SweepError, shown
-from sweeps.store.format import size
+from sweeps.store.format import DIVERGED, size
 from sweeps.store.ledger import Row, intact
-from sweeps.store.opening import DIVERGED, Store, Tally
+from sweeps.store.opening import Counts, Store
 from sweeps.store.verify import Report
 
 LISTED = 20  # damaged files
@@ -40,16 +40,16 @@ def expectation(grid: Grid, compiling: float, rate: float) -> str:
 
 def status_lines(store: Store) -> list[str]:
     """How far a store is and what made it."""
-    tally, attrs, grid = Tally.of(store), store.group.attrs.asdict(), store.grid
-    done = tally.done
+    counts, attrs, grid = Counts.of(store), store.group.attrs.asdict(), store.grid
+    done = counts.done
     return [
         f"{store.path}: {grid.sweep.name}, {_dims(grid)}",
         f"done      {done:,} of {grid.cells:,} cells ({_share(done, grid.cells)})",
-        *(f"  {name:8}{count:>14,}" for name, count in tally.cells.items()),
+        *(f"  {name:8}{count:>14,}" for name, count in counts.cells.items()),
         *(f"diverged  {told}" for told in _diverged(store)),
-        *(f"failed    {told}" for told in set_aside_lines(store, tally.set_aside)),
-        *(f"trusted   {told}" for told in _trusted(store, tally)),
-        f"blocks    {len(tally.pending):,} of {grid.n_blocks:,} to do",
+        *(f"failed    {told}" for told in set_aside_lines(store, counts.set_aside)),
+        *(f"trusted   {told}" for told in _trusted(store, counts)),
+        f"blocks    {len(counts.pending):,} of {grid.n_blocks:,} to do",
         shown(f"began     {attrs['start']}, ended {attrs.get('end', 'not yet')}"),
         shown(f"made by   fic_jax {attrs['fic_jax']} ({attrs['revision']}), jax {attrs['jax']}"),
         shown(f"on        {attrs['device']}, {attrs['dtype']}"),
@@ -78,8 +78,8 @@ def _diverged(store: Store) -> Iterator[str]:
     for row in store.rows():
         if not row.diverged or not left:
             continue
-        block, stamp = store.grid.block(row.block), row.files.get("status")
-        if stamp and not intact(store.file("status", row.block), stamp):
+        block, checksum = store.grid.block(row.block), row.files.get("status")
+        if checksum and not intact(store.file("status", row.block), checksum):
             raise store.damaged(f"block {row.block} is not as it was written")
         found = np.argwhere(np.asarray(store.array("status")[block]) == DIVERGED)[:left]
         for place in found:
@@ -122,7 +122,7 @@ def summary(store: Store, result: Progress) -> str:
     speed = f", {rate:,.0f}/s ({steps:,.0f} M steps/s)" if steps >= 1 else ""
     diverged = f", {result.diverged:,} diverged" if result.diverged else ""
     told = [f"{result.ran:,} scenarios in {_duration(result.seconds)}{speed}{diverged}"]
-    told += [f"trusted {text}" for text in _trusted(store, Tally.of(store))]
+    told += [f"trusted {text}" for text in _trusted(store, Counts.of(store))]
     return f"{store.path}: {'; '.join(told)}"
 
 
@@ -156,7 +156,7 @@ def interruption(store: Store, error: BaseException) -> str:
     why = "interrupted" if isinstance(error, KeyboardInterrupt) else f"failed: {_reason(error)}"
     total, go_on = store.grid.n_blocks, f"`fic-sweep resume {store.path}` does the rest"
     try:
-        kept = total - len(Tally.of(store).pending)
+        kept = total - len(Counts.of(store).pending)
     except (OSError, SweepError):  # the folder is gone, or not ours any more
         return f"{why}; what was finished is kept if the folder is, {go_on}"
     return f"{why}; {kept} of {total} blocks are kept, {go_on}"
@@ -174,10 +174,12 @@ def _reason(error: BaseException) -> str:
     return f"{about}: {told}" if about else told
 
 
-def _trusted(store: Store, tally: Tally) -> Iterator[str]:
+def _trusted(store: Store, counts: Counts) -> Iterator[str]:
     """How many of the cells done are trusted, where the store can tell."""
     if store.grid.sweep.error_estimate:
-        share = f"{tally.trusted:,} of {tally.done:,} cells ({_share(tally.trusted, tally.done)})"
+        share = (
+            f"{counts.trusted:,} of {counts.done:,} cells ({_share(counts.trusted, counts.done)})"
+        )
         bound = float(str(store.group.attrs["trust_bound"]))
         yield f"{share}, nmse known to {100 * bound:g} %"
 
