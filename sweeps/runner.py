@@ -60,7 +60,7 @@ class Progress:
         )
 
 
-Tell = Callable[[Progress], None]
+OnProgress = Callable[[Progress], None]
 
 
 def configure(precision: int, device: str | None = None) -> None:
@@ -107,7 +107,7 @@ def reopen(path: Path, precision: int) -> Store:
     return store
 
 
-def run(store: Store, tell: Tell, only: Collection[int] | None = None) -> Progress:
+def run(store: Store, on_progress: OnProgress, only: Collection[int] | None = None) -> Progress:
     """Run every block (or those in `only`) that is not done; safe to interrupt at any line.
 
     Raises SweepError if another process changes the store, OSError if the disk refuses.
@@ -118,20 +118,20 @@ def run(store: Store, tell: Tell, only: Collection[int] | None = None) -> Progre
         pending = [i for i in counts.pending if only is None or i in only]
         todo = sum(cells_of(grid.block(index)) for index in counts.pending)
         progress = Progress(grid.cells, grid.cells - todo)
-        tell(progress)
+        on_progress(progress)
         # The block in which the last process was killed may be what killed it: it comes last.
         pending.sort(key=lambda index: index == lock.killed_in)
         with closing(_run_blocks(writer, lock, pending, counts.unfinished)) as committed:
             for row, when in committed:
                 n, known = cells_of(grid.block(row.block)), counts.unfinished.get(row.block)
                 progress = progress.after(row, n, known, when - began)
-                tell(progress)
+                on_progress(progress)
         if progress.done == grid.cells and "end" not in store.group.attrs:
             writer.end()
     return progress
 
 
-def recompute(store: Store, blocks: list[int], tell: Tell) -> list[int]:
+def recompute(store: Store, blocks: list[int], on_progress: OnProgress) -> list[int]:
     """Run damaged blocks again; returns those whose files differ from the ledger's checksums."""
     before = {row.block: row.files for row in store.rows() if row.block in set(blocks)}
     with writing(store) as (writer, _):
@@ -139,7 +139,7 @@ def recompute(store: Store, blocks: list[int], tell: Tell) -> list[int]:
         for block in blocks:
             for name in store.variables:
                 free(store.file(name, block))
-    run(store, tell, blocks)
+    run(store, on_progress, blocks)
     after = {row.block: row.files for row in store.rows()}
     return [b for b, files in before.items() if b in after and after[b] != files]
 

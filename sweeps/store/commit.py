@@ -115,7 +115,7 @@ def no_values(grid: Grid, index: int) -> Values:
 
 def read_block(store: Store, row: Row) -> Values | None:
     """The variables of a committed block; None if a file changed since."""
-    if not all(intact(store.file(name, row.block), sum_) for name, sum_ in row.files.items()):
+    if not all(intact(*file) for file in store.files(row)):
         return None
     block = store.grid.block(row.block)
     stored = {name: np.asarray(store.array(name)[block]).ravel() for name in store.variables}

@@ -49,10 +49,7 @@ def extend(store: Store, plan: Sweep, source: str) -> Store:
     # In this order the new store is locked until its ledger has a checksum.
     with building(partial), writing(store):
         store.check_files()
-        files = (
-            (store.file(n, row.block), s) for row in store.rows() for n, s in row.files.items()
-        )
-        wrong = sum(not intact(file, checksum) for file, checksum in files)
+        wrong = sum(not intact(*file) for row in store.rows() for file in store.files(row))
         if wrong:  # we would copy another block's numbers
             raise store.damaged(f"{wrong:,} files of finished blocks are not as written")
         write_empty(partial, grid, made_by | {"extended": now()})

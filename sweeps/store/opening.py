@@ -17,7 +17,16 @@ from sweeps.store import format as layout
 from sweeps.store import ledger as ledgers
 from sweeps.store.format import FORMAT, NOT_RUN, OK, STATUS, TRUSTED
 from sweeps.store.fsync import PARTIAL
-from sweeps.store.ledger import DONE, SET_ASIDE, Ledger, LedgerError, MetadataFile, Row, intact
+from sweeps.store.ledger import (
+    DONE,
+    SET_ASIDE,
+    Checksum,
+    Ledger,
+    LedgerError,
+    MetadataFile,
+    Row,
+    intact,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -53,6 +62,10 @@ class Store:
         """The file of a block of a variable."""
         return self.path / variable / ".".join(["c", *map(str, self.grid.place(block))])
 
+    def files(self, row: Row) -> Iterator[tuple[Path, Checksum]]:
+        """The files of a block and their checksums."""
+        return ((self.file(name, row.block), checksum) for name, checksum in row.files.items())
+
     def rows(self) -> list[Row]:
         """The ledger's rows of blocks. Raises SweepError if the ledger is damaged."""
         if self.ledger is None:
@@ -83,8 +96,8 @@ class Store:
         rows = self.rows()
         # `status` first: a run writes it last, perhaps during this scan
         sizes = {name: _sizes(self.path / name) for name in reversed(self.variables)}
-        files = ((self.file(n, row.block), sum_) for row in rows for n, sum_ in row.files.items())
-        wrong = [f for f, sum_ in files if sizes[f.parent.name].pop(f.name, -1) != sum_.size]
+        files = (file for row in rows for file in self.files(row))
+        wrong = [f for f, known in files if sizes[f.parent.name].pop(f.name, -1) != known.size]
         if wrong:
             first = wrong[0].relative_to(self.path)
             more = f" and {len(wrong) - 1:,} more files" if len(wrong) > 1 else ""

@@ -151,8 +151,7 @@ def _block_problems(store: Store, row: Row) -> Iterator[Problem]:
     if not 0 <= row.block < store.grid.n_blocks or set(row.files) != set(store.variables):
         yield Problem(ledgers.NAME, f"is damaged: block {row.block} is none of this sweep")
         return
-    for name, checksum in row.files.items():
-        file = store.file(name, row.block)
+    for file, checksum in store.files(row):
         if not intact(file, checksum):
             yield Problem(file.relative_to(store.path).as_posix(), _how(file), row.block)
 

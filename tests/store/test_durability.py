@@ -9,6 +9,7 @@ import os
 import random
 import re
 import sys
+import time
 from collections import Counter
 from pathlib import Path
 
@@ -287,7 +288,7 @@ def test_a_killed_process_loses_nothing(stores, quick, processes):
     """SIGKILL in every phase of a run: the system frees the lock, and the next run continues."""
     with stores.case() as path, Calls(path.parent) as disk:
         create_and_run(stores, path, lambda progress: None)
-    at, counted = phases(disk.made, path), Counter()
+    at = phases(disk.made, path)
     assert list(at) == PHASES
     for number in many(at.values(), range(len(disk.made) + 1)):
         with stores.case() as path:
@@ -300,18 +301,25 @@ def test_a_killed_process_loses_nothing(stores, quick, processes):
             if path.exists():
                 stores.sound(path, cells)
             stores.settle(path)
-    chance = random.Random(3)
-    for _ in range(many(0, 1000)):  # with the thread that commits
+    report(f"SIGKILL at {len(many(at, disk.made))} calls of a run")
+
+
+@pytest.mark.skipif(not many(0, 1), reason="`make torture`")
+def test_a_process_that_is_killed_at_any_time_loses_nothing(stores, quick, processes):
+    """At random times, with the thread that commits beside the one that computes."""
+    chance, kills, lasts = random.Random(3), 0, 1.0
+    for _ in range(500):
         with stores.case() as path:
-            sent, kills = [], 0
+            sent = []
             while "ended" not in sent:
-                sent += said(*processes(victim.work, stores, path, None, chance.uniform(0, 0.3)))
+                seconds, began = chance.uniform(0.001, lasts), time.monotonic()
+                sent += said(*processes(victim.work, stores, path, None, seconds))
                 kills += "ended" not in sent
                 if path.exists():
                     stores.sound(path, max((n for n in sent if n != "ended"), default=0))
+            lasts = min(lasts, time.monotonic() - began)
             assert contents(path) == stores.expected[5]
-            counted[kills] += 1
-    report(f"killed at {len(many(at, disk.made))} calls; at random times {dict(counted)} times")
+    report(f"500 stores, killed {kills} times")
 
 
 @pytest.mark.parametrize("place", ["tiny.zarr", f".tiny.zarr{PARTIAL}"])

@@ -43,7 +43,7 @@ from tests.command import typed
 from tests.store.faults import Calls, Killed, many
 from tests.store.stores import without_engine
 
-EXAMPLES, STEPS = many((12, 25), (500, 200))
+EXAMPLES, STEPS = many((8, 25), (500, 200))
 FACTS = runner.provenance(32)  # runs git once
 COUNTED = Counter()  # what the machine did
 
