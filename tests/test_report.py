@@ -8,7 +8,6 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 import xarray as xr
-from tests.store.changed import note
 
 from fic_jax import Model, Params
 from sweeps import runner
@@ -24,6 +23,7 @@ from sweeps.spec.types import SweepError
 from sweeps.store.opening import Counts
 from tests.command import call
 from tests.reference import discrete
+from tests.store.stores import change_attributes
 
 CLAIM = {claim.id: claim for claim in CLAIMS}
 
@@ -340,7 +340,7 @@ def test_a_store_of_another_program_or_sweep_is_refused_by_name(library, tmp_pat
     with pytest.raises(SweepError, match=r"tiny\.zarr: holds another sweep than `tiny` of the lib"):
         ensure(tmp_path / "r", ["tiny"], library, lambda *_: None)
     (library / "tiny.toml").write_text(TINY)
-    note(paths["tiny"], numerics=0)
+    change_attributes(paths["tiny"], numerics=0)
     with pytest.raises(SweepError, match=r"tiny\.zarr: was begun by another program .*remove it"):
         ensure(tmp_path / "r", ["tiny"], library, lambda *_: None)
 
