@@ -13,7 +13,7 @@ from sweeps.cli import messages
 from sweeps.plan.grid import Grid, cells_of
 from sweeps.spec.reading import parse
 from sweeps.spec.types import SweepError
-from sweeps.store import format as layout
+from sweeps.store import format as store_format
 from sweeps.store import ledger
 from sweeps.store.lock import locked
 from sweeps.store.opening import Counts, dataset, open_store
@@ -130,7 +130,7 @@ def test_precision_is_the_stores(tmp_path, whole):
 def test_resume_runs_what_an_interruption_left(tmp_path, whole):
     path = stopped(tmp_path / "halted.zarr", PLAN, 7, 30).path
     half = xr.open_zarr(path, chunks=None)
-    done = half["status"].values == layout.OK
+    done = half["status"].values == store_format.OK
     assert 30 <= done.sum() < 60
     assert np.isfinite(half["nmse"].values[done]).all()
     assert np.isnan(half["nmse"].values[~done]).all()
@@ -174,8 +174,8 @@ def test_a_failing_block_runs_again_after_the_others_and_is_then_set_aside(tmp_p
     assert (result.done, result.ran) == (60 - lost, 60 - lost)
     with xr.open_zarr(store.path, chunks=None) as data:
         status = data["status"].values
-        assert np.all(status[store.grid.block(1)] == layout.FAILED)
-        assert (status == layout.OK).sum() == 60 - lost
+        assert np.all(status[store.grid.block(1)] == store_format.FAILED)
+        assert (status == store_format.OK).sum() == 60 - lost
         assert "end" not in data.attrs
     order = tried(store.grid, lambda order: False)
     order.clear()
@@ -203,7 +203,7 @@ def test_a_diverged_cell_has_a_status_and_no_numbers(tmp_path):
     )
     store = complete(tmp_path / "wild.zarr", wild)
     data = xr.open_zarr(store.path)
-    np.testing.assert_array_equal(data["status"], [layout.OK, layout.DIVERGED])
+    np.testing.assert_array_equal(data["status"], [store_format.OK, store_format.DIVERGED])
     assert np.isnan(data["nmse"][1])
     assert np.isnan(data["convergence_time"][1])
     assert Counts.of(store).cells == {"not run": 0, "ok": 1, "diverged": 1, "failed": 0}
@@ -267,8 +267,10 @@ def test_estimates_are_those_of_the_engine_and_change_no_metric(tmp_path, estima
             np.testing.assert_array_equal(data[f"{name}_error"], np.where(good, expected, np.nan))
         trusted = fic_jax.trusted(metrics, errors).reshape(grid.shape)
         assert 0 < trusted.sum() < good.sum()
-        flags = np.where(trusted, layout.TRUSTED, layout.NOT_TRUSTED)
-        np.testing.assert_array_equal(data["trusted"], np.where(good, flags, layout.NO_ESTIMATE))
+        flags = np.where(trusted, store_format.TRUSTED, store_format.NOT_TRUSTED)
+        np.testing.assert_array_equal(
+            data["trusted"], np.where(good, flags, store_format.NO_ESTIMATE)
+        )
         assert Counts.of(open_store(estimated)).trusted == trusted.sum()
     plain = parse(ESTIMATED, "f", ("error_estimate=false",))
     without, whole = bits(complete(tmp_path / "plain.zarr", plain, chunk=12).path), bits(estimated)
@@ -279,8 +281,8 @@ def test_estimates_are_those_of_the_engine_and_change_no_metric(tmp_path, estima
 def test_status_counts_the_trusted_cells_of_finished_blocks(tmp_path, estimated):
     store = stopped(tmp_path / "halted.zarr", DOUBTED, 12, 1)
     data = xr.open_zarr(store.path, chunks=None)
-    done = (data["status"] != layout.NOT_RUN).sum()
-    trusted = (data["trusted"] == layout.TRUSTED).sum()
+    done = (data["status"] != store_format.NOT_RUN).sum()
+    trusted = (data["trusted"] == store_format.TRUSTED).sum()
     assert 0 < trusted <= done < 30
     lines = "\n".join(messages.status_lines(store))
     assert f"trusted   {int(trusted)} of {int(done)} cells (" in lines

@@ -16,11 +16,10 @@ from zarr.storage import MemoryStore
 from fic_jax import Metrics, trusted
 from sweeps.plan.grid import Grid, cells_of, shape_of
 from sweeps.spec.types import SweepError
-from sweeps.store import format as layout
+from sweeps.store import format as store_format
 from sweeps.store import fsync
-from sweeps.store import ledger as ledgers
 from sweeps.store.format import DIVERGED, NO_ESTIMATE, NOT_RUN, NOT_TRUSTED, OK, STATUS, TRUSTED
-from sweeps.store.ledger import Checksum, Ledger, Row, intact
+from sweeps.store.ledger import CHECKSUM, LEDGER, Checksum, Ledger, Row, intact
 from sweeps.store.lock import Lock, locked
 from sweeps.store.opening import Store
 
@@ -82,7 +81,7 @@ class Writer:
         """The variables in memory: Zarr encodes there, and `fsync.write` writes."""
         grid, dtype, memory = self.store.grid, self.store.dtype, MemoryStore(self._memory)
         return {
-            name: zarr.create_array(memory, **layout.variable(grid, name, dtype))
+            name: zarr.create_array(memory, **store_format.variable(grid, name, dtype))
             for name in self.store.variables
         }
 
@@ -110,7 +109,7 @@ def no_values(grid: Grid, index: int) -> Values:
     """The variables of a block that was not run."""
     n = cells_of(grid.block(index))
     flags = {"status": np.full(n, NOT_RUN), "trusted": np.full(n, NO_ESTIMATE)}
-    return {name: np.full(n, np.nan) for name in layout.variable_names(grid.sweep)} | flags
+    return {name: np.full(n, np.nan) for name in store_format.variable_names(grid.sweep)} | flags
 
 
 def read_block(store: Store, row: Row) -> Values | None:
@@ -126,7 +125,7 @@ def read_block(store: Store, row: Row) -> Values | None:
 def writing(store: Store) -> Iterator[tuple[Writer, Lock]]:
     """Lock a store and delete what a killed process left. Raises SweepError, OSError."""
     writer = Writer(store)
-    for name in (*store.variables, ledgers.NAME):
+    for name in (*store.variables, LEDGER):
         if (store.path / name).is_symlink():  # we would write outside the store
             raise SweepError(f"{store.path}: its {name} is a link; a store is one folder")
     with locked(store.path) as lock:
@@ -134,7 +133,7 @@ def writing(store: Store) -> Iterator[tuple[Writer, Lock]]:
         if any(found[key] != store.group.attrs[key] for key in ("sweep", "block_cells")):
             raise SweepError(f"{store.path}: was changed by another process; try again")
         store.check_metadata()
-        (store.path / ledgers.CHECKSUM).unlink(missing_ok=True)  # from now on it is out of date
+        (store.path / CHECKSUM).unlink(missing_ok=True)  # from now on it is out of date
         # through no link: we would delete files outside the store
         folders = (p for p in store.path.iterdir() if p.is_dir() and not p.is_symlink())
         for folder in (store.path, *folders):
@@ -150,7 +149,7 @@ def writing(store: Store) -> Iterator[tuple[Writer, Lock]]:
 
 def write_checksum(ledger: Ledger) -> None:
     """Write the checksum of the whole ledger beside it. Raises OSError."""
-    fsync.write({ledger.path.with_name(ledgers.CHECKSUM): ledger.checksum()})
+    fsync.write({ledger.path.with_name(CHECKSUM): ledger.checksum()})
 
 
 def now() -> str:

@@ -12,11 +12,10 @@ import zarr
 
 from sweeps.plan.grid import Grid
 from sweeps.spec.types import SweepError
-from sweeps.store import format as layout
-from sweeps.store import ledger as ledgers
-from sweeps.store import lock
+from sweeps.store import format as store_format
 from sweeps.store.fsync import PARTIAL, sync, sync_tree
-from sweeps.store.ledger import Ledger
+from sweeps.store.ledger import LEDGER, Ledger
+from sweeps.store.lock import LOCK, locked
 from sweeps.store.opening import Store, open_store
 
 
@@ -63,7 +62,7 @@ def before_extension(path: Path) -> Path:
 
 def refuse_small_disk(path: Path, grid: Grid, dtype: str) -> None:
     """Raise SweepError if the disk has no room for a store."""
-    needed, parent = layout.size(grid, dtype), _existing_parent(path)
+    needed, parent = store_format.size(grid, dtype), _existing_parent(path)
     free = shutil.disk_usage(parent).free
     if needed > free:
         raise SweepError(
@@ -81,7 +80,7 @@ def building(partial: Path) -> Iterator[None]:
     partial.mkdir(parents=True, exist_ok=True)
     with ExitStack() as held:
         try:
-            held.enter_context(lock.locked(partial))
+            held.enter_context(locked(partial))
         except OSError:  # not locked by another process: that is a SweepError
             shutil.rmtree(partial, ignore_errors=True)
             raise
@@ -89,7 +88,7 @@ def building(partial: Path) -> Iterator[None]:
             for entry in partial.iterdir():  # from a killed process
                 if entry.is_dir() and not entry.is_symlink():
                     shutil.rmtree(entry)
-                elif entry.name != lock.NAME:
+                elif entry.name != LOCK:
                     entry.unlink()
             yield
         finally:
@@ -98,24 +97,24 @@ def building(partial: Path) -> Iterator[None]:
 
 def write_empty(path: Path, grid: Grid, made_by: Mapping[str, Any]) -> None:
     """Write attributes, coordinates, the metadata of each variable, and an empty ledger."""
-    group = zarr.create_group(path, attributes=layout.attributes(grid) | dict(made_by))
-    for array in layout.arrays(grid, made_by["dtype"]):
+    group = zarr.create_group(path, attributes=store_format.attributes(grid) | dict(made_by))
+    for array in store_format.arrays(grid, made_by["dtype"]):
         group.create_array(**array)
     beside = [name for dim in grid.dims for name in _write_coordinates(group, grid, dim)]
     if beside:
         group.attrs.update({"coordinates": " ".join(beside)})
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Consolidated metadata")  # zarr: not in the v3 standard
-        warnings.filterwarnings("ignore", f"Object at {lock.NAME}")  # of this process
+        warnings.filterwarnings("ignore", f"Object at {LOCK}")  # of this process
         zarr.consolidate_metadata(path)  # all metadata in one file: xarray opens it faster
-    ledger = Ledger.create(path / ledgers.NAME)
+    ledger = Ledger.create(path / LEDGER)
     files = [path / "zarr.json", *sorted(p for p in path.glob("*/*") if p.is_file())]
     ledger.insert_metadata((f.relative_to(path).as_posix(), f.read_bytes()) for f in files)
 
 
 def _write_coordinates(group: zarr.Group, grid: Grid, dim: str) -> list[str]:
     """Write what varies along a dimension; returns the names that differ from the dimension's."""
-    piece, length = layout.COORDINATE_CHUNK, grid.dims[dim]
+    piece, length = store_format.COORDINATE_CHUNK, grid.dims[dim]
     for start in range(0, length, piece):
         part = slice(start, min(start + piece, length))
         for name, values in grid.coordinates(dim, part).items():

@@ -17,7 +17,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-NAME = "ledger.sqlite"
+LEDGER = "ledger.sqlite"
 CHECKSUM = "ledger.sha256"  # of the whole ledger while no process writes; `sha256sum -c` reads it
 LARGEST_COPY = 1_000_000  # bytes: the ledger holds a copy of each metadata file up to this size
 
@@ -157,7 +157,7 @@ class Ledger:
 
     def checksum(self) -> bytes:
         """The content of the file CHECKSUM for the ledger as it is."""
-        return f"{hashlib.sha256(self.path.read_bytes()).hexdigest()}  {NAME}\n".encode()
+        return f"{hashlib.sha256(self.path.read_bytes()).hexdigest()}  {LEDGER}\n".encode()
 
     def _select(self, query: str) -> Iterator[Any]:
         # Opened for writing too: the next reader rolls back a commit that a kill cut short.

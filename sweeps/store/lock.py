@@ -11,7 +11,7 @@ from pathlib import Path
 
 from sweeps.spec.types import SweepError, shown
 
-NAME = "owner.lock"
+LOCK = "owner.lock"
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ def locked(folder: Path) -> Iterator[Lock]:
     """
     # O_NOFOLLOW: a link could make us overwrite a file outside the store
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
-    descriptor = os.open(folder / NAME, flags, 0o666)
+    descriptor = os.open(folder / LOCK, flags, 0o666)
     try:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

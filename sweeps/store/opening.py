@@ -13,12 +13,12 @@ import zarr
 
 from sweeps.plan.grid import Grid
 from sweeps.spec.types import Sweep, SweepError, shown
-from sweeps.store import format as layout
-from sweeps.store import ledger as ledgers
+from sweeps.store import format as store_format
 from sweeps.store.format import FORMAT, NOT_RUN, OK, STATUS, TRUSTED
 from sweeps.store.fsync import PARTIAL
 from sweeps.store.ledger import (
     DONE,
+    LEDGER,
     SET_ASIDE,
     Checksum,
     Ledger,
@@ -52,7 +52,7 @@ class Store:
     @cached_property
     def variables(self) -> list[str]:
         """The variables, in the order they are written."""
-        return layout.variable_names(self.grid.sweep)
+        return store_format.variable_names(self.grid.sweep)
 
     def array(self, name: str) -> zarr.Array[Any]:
         """A variable or a coordinate on the disk."""
@@ -71,14 +71,14 @@ class Store:
         if self.ledger is None:
             return list(self._rows_of_format_1())
         if not self.ledger.path.is_file():
-            raise self.damaged(f"{ledgers.NAME} is missing")
+            raise self.damaged(f"{LEDGER} is missing")
         try:
             rows = list(self.ledger.rows())
         except LedgerError as error:
-            raise self.damaged(f"{ledgers.NAME} is damaged: {error}") from None
+            raise self.damaged(f"{LEDGER} is damaged: {error}") from None
         for row in rows:
             if not 0 <= row.block < self.grid.n_blocks or set(row.files) - set(self.variables):
-                raise self.damaged(f"{ledgers.NAME} is damaged: it has a block {row.block}")
+                raise self.damaged(f"{LEDGER} is damaged: it has a block {row.block}")
         return rows
 
     def damaged(self, what: str) -> SweepError:
@@ -114,7 +114,7 @@ class Store:
         try:
             files = list(self.ledger.metadata())
         except LedgerError as error:
-            raise self.damaged(f"{ledgers.NAME}: {error}") from None
+            raise self.damaged(f"{LEDGER}: {error}") from None
         for file in files:
             if not as_written(self.path, file):
                 raise self.damaged(f"{file.path} is not as it was written")
@@ -184,7 +184,7 @@ def open_store(path: Path) -> Store:
         written, record = attributes["format"], attributes["sweep"]
         if written not in (1, FORMAT):
             raise SweepError(f"{path}: has format {written}; this program reads up to {FORMAT}")
-        if layout.sha256(record) != attributes["sweep_sha256"]:
+        if store_format.sha256(record) != attributes["sweep_sha256"]:
             raise SweepError(f"{path}: its sweep record differs from the one that began it")
         # the estimate is no part of the record, and the oldest stores have no attribute for it
         estimate = bool(attributes.get("error_estimate"))
@@ -192,9 +192,9 @@ def open_store(path: Path) -> Store:
         chunk = int(str(attributes["block_cells"]))
         if chunk < 1 or attributes["dtype"] not in ("float32", "float64"):
             raise ValueError(f"block_cells {chunk}, dtype {attributes['dtype']}")
-        ledger = Ledger(path / ledgers.NAME) if written > 1 else None
+        ledger = Ledger(path / LEDGER) if written > 1 else None
         store = Store(path, Grid(sweep, chunk), group, ledger)
-        expected = list(layout.arrays(store.grid, store.dtype))
+        expected = list(store_format.arrays(store.grid, store.dtype))
     except SweepError:
         raise
     except Exception as error:  # whatever zarr and pydantic raise for a foreign file

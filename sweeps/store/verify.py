@@ -11,14 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sweeps.spec.types import SweepError
-from sweeps.store import fsync, lock
-from sweeps.store import ledger as ledgers
+from sweeps.store import fsync
 from sweeps.store.commit import write_checksum
 from sweeps.store.create import write_empty
-from sweeps.store.ledger import Ledger, LedgerError, MetadataFile, Row, intact
+from sweeps.store.ledger import CHECKSUM, LEDGER, Ledger, LedgerError, MetadataFile, Row, intact
+from sweeps.store.lock import LOCK, locked
 from sweeps.store.opening import Store, as_written, open_store, plain
 
-OWN = {ledgers.NAME, f"{ledgers.NAME}-journal", ledgers.CHECKSUM, lock.NAME}
+OWN = {LEDGER, f"{LEDGER}-journal", CHECKSUM, LOCK}
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def verify(path: Path) -> Report:
     problems += [problem for row in rows for problem in _block_problems(store, row)]
     if "end" in store.group.attrs:  # a finished store has a row for each block
         missing = set(range(store.grid.n_blocks)) - {row.block for row in rows}
-        problems += [Problem(ledgers.NAME, f"has no row of block {b}", b) for b in sorted(missing)]
+        problems += [Problem(LEDGER, f"has no row of block {b}", b) for b in sorted(missing)]
     if not damaged:
         problems += _foreign(store, files)
     n_files = len(files) + sum(len(row.files) for row in rows)
@@ -85,7 +85,7 @@ def repair_metadata(path: Path) -> None:
     SweepError if too much is lost, OSError.
     """
     ledger = _ledger_of(path)
-    with lock.locked(path), tempfile.TemporaryDirectory() as folder:
+    with locked(path), tempfile.TemporaryDirectory() as folder:
         rows, files = ledger.undamaged()
         for file in files:
             if file.path == "zarr.json" and file.content is not None:
@@ -95,7 +95,7 @@ def repair_metadata(path: Path) -> None:
                 place.unlink()  # we would write through the link
         fresh, store = Path(folder) / "fresh", open_store(path)
         write_empty(fresh, store.grid, {"dtype": store.dtype})
-        again, recorded = Ledger(fresh / ledgers.NAME), {file.path: file for file in files}
+        again, recorded = Ledger(fresh / LEDGER), {file.path: file for file in files}
         names = [file.path for file in again.metadata()]
         for fresh_file in again.metadata():
             # the ledger's copy first: another version may have encoded the file differently
@@ -107,9 +107,9 @@ def repair_metadata(path: Path) -> None:
             again.insert_metadata((name, (path / name).read_bytes()) for name in names)
             again.insert(rows)
             # first: SQLite would play the old ledger's journal back into the new one
-            ledger.path.with_name(f"{ledgers.NAME}-journal").unlink(missing_ok=True)
-            _restore(path, ledgers.NAME, again.path.read_bytes())
-        free(path / ledgers.CHECKSUM)
+            ledger.path.with_name(f"{LEDGER}-journal").unlink(missing_ok=True)
+            _restore(path, LEDGER, again.path.read_bytes())
+        free(path / CHECKSUM)
         write_checksum(ledger)
 
 
@@ -130,7 +130,7 @@ def _restore(path: Path, name: str, content: bytes) -> None:
 
 def _ledger_of(path: Path) -> Ledger:
     """The ledger of a store that may be damaged."""
-    ledger = Ledger(path / ledgers.NAME)
+    ledger = Ledger(path / LEDGER)
     file = os.path.isfile(ledger.path) and not ledger.path.is_symlink()
     if not file and open_store(path).ledger is None:
         raise SweepError(f"{path}: has format 1, whose blocks have no checksums in a ledger")
@@ -139,17 +139,17 @@ def _ledger_of(path: Path) -> Ledger:
 
 def _ledger_problems(ledger: Ledger) -> Iterator[Problem]:
     if not ledger.path.is_file():
-        yield Problem(ledgers.NAME, "is missing")
+        yield Problem(LEDGER, "is missing")
         return
     try:
         ledger.check()
     except LedgerError as error:
-        yield Problem(ledgers.NAME, f"is damaged: {error}")
+        yield Problem(LEDGER, f"is damaged: {error}")
 
 
 def _block_problems(store: Store, row: Row) -> Iterator[Problem]:
     if not 0 <= row.block < store.grid.n_blocks or set(row.files) != set(store.variables):
-        yield Problem(ledgers.NAME, f"is damaged: block {row.block} is none of this sweep")
+        yield Problem(LEDGER, f"is damaged: block {row.block} is none of this sweep")
         return
     for file, checksum in store.files(row):
         if not intact(file, checksum):
@@ -160,10 +160,12 @@ def _foreign(store: Store, files: list[MetadataFile]) -> Iterator[Problem]:
     """What is not part of the store. The files of a block without a row are: a run wrote them."""
     known = {file.path for file in files} | OWN | set(_folders(files))
     blocks = {store.file("status", index).name for index in range(store.grid.n_blocks)}
-    known |= {f"{variable}/{block}" for variable in store.variables for block in blocks}
     for file in sorted(store.path.glob("**/*")):
         name = file.relative_to(store.path).as_posix()
-        if name.removesuffix(fsync.PARTIAL) not in known or not plain(file):
+        whole = name.removesuffix(fsync.PARTIAL)
+        folder, _, block = whole.partition("/")
+        ours = whole in known or (folder in store.variables and block in blocks)
+        if not ours or not plain(file):
             yield Problem(name, "is not part of the store", foreign=True)
 
 

@@ -5,7 +5,7 @@ from sweeps.spec.reading import parse
 from sweeps.spec.types import SweepError
 from sweeps.store import create
 from sweeps.store.fsync import PARTIAL
-from sweeps.store.lock import NAME as LOCK
+from sweeps.store.lock import LOCK
 from tests.store.stores import WHOLE
 
 

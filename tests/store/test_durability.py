@@ -19,7 +19,7 @@ from sweeps import runner
 from sweeps.spec.types import SweepError
 from sweeps.store import extend, verify
 from sweeps.store.fsync import PARTIAL
-from sweeps.store.lock import NAME as LOCK
+from sweeps.store.lock import LOCK
 from sweeps.store.opening import open_store
 from tests.command import typed
 from tests.store import victim

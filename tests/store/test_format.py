@@ -11,8 +11,7 @@ import fic_jax
 from sweeps import runner
 from sweeps.plan.grid import Grid
 from sweeps.spec.reading import parse
-from sweeps.store import format as layout
-from sweeps.store.opening import Counts, open_store
+from sweeps.store import format as store_format
 
 PLAN = parse(
     """
@@ -55,7 +54,7 @@ def test_xarray_opens_a_store_without_our_code_and_without_a_warning(tmp_path):
     np.testing.assert_array_equal(data["contact"], ["welded", "hard_stop"])
     np.testing.assert_array_equal(data["Denv"], [0.0, 63.2])
     assert data["Denv"].dims == ("case",)
-    assert (data["status"] == layout.NOT_RUN).all()
+    assert (data["status"] == store_format.NOT_RUN).all()
     assert np.isnan(data["nmse"]).all()
     for key in ("numerics", "arithmetic", "revision", "jax", "device", "dtype", "start", "sweep"):
         assert data.attrs[key], key
@@ -87,14 +86,14 @@ def test_error_estimates_are_described(tmp_path):
 )
 def test_size_counts_variables_and_coordinates(estimate, expected):
     plan = parse(DRAWN, "f", (f"error_estimate={estimate}",))
-    assert layout.size(Grid(plan), "float32") == expected
+    assert store_format.size(Grid(plan), "float32") == expected
 
 
 def test_a_long_coordinate_is_written_piece_by_piece(tmp_path, monkeypatch):
     """Each piece of the sample is drawn by itself; the last one is shorter."""
     plan = parse(DRAWN, "f")
     once = runner.start(tmp_path / "once.zarr", plan, None, 32).path
-    monkeypatch.setattr(layout, "COORDINATE_CHUNK", 4)
+    monkeypatch.setattr(store_format, "COORDINATE_CHUNK", 4)
     pieces = runner.start(tmp_path / "pieces.zarr", plan, None, 32).path
     assert sorted(file.name for file in (pieces / "Td").glob("c.*")) == ["c.0", "c.1", "c.2"]
     with xr.open_zarr(once) as one, xr.open_zarr(pieces) as other:
@@ -109,11 +108,3 @@ def test_a_flipped_bit_raises_instead_of_being_read(golden):
     file.write_bytes(damaged)
     with pytest.raises(Exception, match="checksum"):
         xr.open_zarr(golden, chunks=None)["nmse"].load()
-
-
-def test_the_counts_are_those_of_the_flags(golden):
-    counts = Counts.of(open_store(golden))
-    with xr.open_zarr(golden, chunks=None) as data:
-        for name, flag in layout.STATUS.items():
-            assert counts.cells[name] == (data["status"] == flag).sum()
-        assert counts.trusted == (data["trusted"] == layout.TRUSTED).sum()

@@ -20,7 +20,7 @@ from sweeps.plan.grid import Grid
 from sweeps.spec.reading import parse
 from sweeps.spec.types import SweepError
 from sweeps.store import extend
-from sweeps.store import format as layout
+from sweeps.store import format as store_format
 from sweeps.store.ledger import SET_ASIDE
 from sweeps.store.opening import Counts, dataset, open_store
 from sweeps.store.verify import repair_metadata, verify
@@ -59,7 +59,7 @@ def contents(path):
 
 
 def test_every_format_has_a_store():
-    assert list(range(1, layout.FORMAT + 1)) == FORMATS
+    assert list(range(1, store_format.FORMAT + 1)) == FORMATS
     assert {p.name for p in GOLDEN.iterdir()} == {f"format-{n}.zarr" for n in FORMATS}
 
 
@@ -81,18 +81,18 @@ def test_every_format_is_read_counted_drawn_and_exported(form, tmp_path):
     first = data.isel(Kenv=0, Td=slice(0, 2))
     assert first["nmse"].values.ravel().tolist() == NMSE
     assert first["peak_torque"].values.ravel().tolist() == TORQUE
-    assert (first["trusted"] == layout.TRUSTED).all()
+    assert (first["trusted"] == store_format.TRUSTED).all()
     status = data["status"].values.ravel().tolist()
     assert status == {1: [1] * 6 + [0] * 6, 2: [1] * 4 + [3] * 2 + [2] * 4 + [0] * 2}[form]
     for name in ("nmse", "peak_torque", "nmse_error", "peak_torque_error"):
-        np.testing.assert_array_equal(np.isfinite(data[name]), data["status"] == layout.OK)
+        np.testing.assert_array_equal(np.isfinite(data[name]), data["status"] == store_format.OK)
     np.testing.assert_array_equal(data["Denv"], [0.0, 63.2])
 
     assert plot(data, x="Td", y="Kenv", metric="nmse", at={"case": "0"}).axes
     assert write(data, tmp_path / "golden.csv", "csv") == 12
     table = pd.read_csv(tmp_path / "golden.csv")
     np.testing.assert_allclose(table["nmse"][:4], NMSE, rtol=1e-6)
-    assert [layout.STATUS[word] for word in table["status"]] == status
+    assert [store_format.STATUS[word] for word in table["status"]] == status
     assert contents(path) == before
 
 

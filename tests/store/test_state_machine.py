@@ -37,7 +37,7 @@ from sweeps.spec.types import SweepError
 from sweeps.store import extend
 from sweeps.store.create import before_extension
 from sweeps.store.format import DIVERGED, FAILED, NOT_RUN, OK, STATUS
-from sweeps.store.lock import NAME as LOCK
+from sweeps.store.lock import LOCK
 from sweeps.store.opening import dataset, open_store
 from tests.command import typed
 from tests.store.faults import Calls, Killed, many

@@ -7,7 +7,7 @@ import pytest
 
 from sweeps.store import verify
 from sweeps.store.ledger import CHECKSUM
-from sweeps.store.lock import NAME as LOCK
+from sweeps.store.lock import LOCK
 from sweeps.store.opening import open_store
 from tests.store.faults import many
 from tests.store.stores import change_attributes, contents, repaired
