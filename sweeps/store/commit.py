@@ -88,21 +88,15 @@ class Writer:
 
 def values_of(metrics: Metrics, errors: Metrics | None) -> Values:
     """The variables of computed scenarios. A diverged one has NaN metrics."""
-    finite = metrics.finite
-    values = _nan_where(~finite, metrics)
-    values["trusted"] = np.full(finite.shape, NO_ESTIMATE)
+    finite, values = metrics.finite, dict(vars(metrics))
+    trust = np.full(finite.shape, NO_ESTIMATE)
     if errors is not None:
-        values |= {f"{name}_error": v for name, v in _nan_where(~finite, errors).items()}
+        values |= {f"{name}_error": value for name, value in vars(errors).items()}
         flags = np.where(trusted(metrics, errors), TRUSTED, NOT_TRUSTED)
-        values["trusted"] = np.where(finite, flags, NO_ESTIMATE)
-    return values | {"status": np.where(finite, OK, DIVERGED)}
-
-
-def _nan_where(diverged: np.ndarray, metrics: Metrics) -> Values:
-    values = vars(metrics)
-    if not diverged.any():  # most blocks: copies take time
-        return dict(values)
-    return {name: np.where(diverged, np.nan, value) for name, value in values.items()}
+        trust = np.where(finite, flags, NO_ESTIMATE)
+    if not finite.all():  # in few blocks: copies take time
+        values = {name: np.where(finite, value, np.nan) for name, value in values.items()}
+    return values | {"trusted": trust, "status": np.where(finite, OK, DIVERGED)}
 
 
 def no_values(grid: Grid, index: int) -> Values:

@@ -9,7 +9,7 @@ import json
 import os
 import re
 import sqlite3
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -132,17 +132,14 @@ class Ledger:
 
     def undamaged(self) -> tuple[list[Row], list[MetadataFile]]:
         """The good rows of a ledger that may be damaged."""
-        rows: list[Row] = []
-        files: list[MetadataFile] = []
-        with suppress(LedgerError, OSError):
-            for record in self._select(BLOCKS):
-                with suppress(LedgerError):
-                    rows.append(_row(*record))
-        with suppress(LedgerError, OSError):
-            for record in self._select(FIXED):
-                with suppress(LedgerError):
-                    files.append(_metadata(*record))
-        return rows, files
+
+        def good(query: str, parse: Callable[..., Any]) -> Iterator[Any]:
+            with suppress(LedgerError, OSError):
+                for record in self._select(query):
+                    with suppress(LedgerError):
+                        yield parse(*record)
+
+        return list(good(BLOCKS, _row)), list(good(FIXED, _metadata))
 
     def check(self) -> None:
         """Read the whole ledger. Raises LedgerError if any of it is damaged."""
