@@ -10,10 +10,10 @@ PLAN = """
 name = "estimated"
 metrics = ["nmse", "peak_torque"]
 error_estimate = true
-time.t_end = 0.5
+time.t_end = 0.2
 model.contact = "welded"
 [axes]
-K0 = [1.0, 300.0]
+K0 = { log = [1.0, 300.0], n = 5 }
 Kenv = [100.0, 3000.0, 1e9]
 [cases]
 Denv = [0.0, 63.2]

@@ -39,7 +39,7 @@ name = "estimated"
 description = "easy, hard and unstable cells"
 error_estimate = true
 [time]
-t_end = 0.5
+t_end = 0.2
 [model]
 contact = "welded"
 [axes]
@@ -257,7 +257,7 @@ def test_estimates_are_those_of_the_engine_and_change_no_metric(tmp_path, estima
     batch = {k: np.float32(v) for k, v in vars(grid.params(next(grid.blocks()))).items()}
     metrics, errors = fic_jax.sweep(
         fic_jax.Params(**batch),
-        model=fic_jax.Model(contact="welded"), dt=0.01, n_steps=50, error_estimate=True,
+        model=fic_jax.Model(contact="welded"), dt=0.01, n_steps=20, error_estimate=True,
     )  # fmt: skip
     with xr.open_zarr(estimated, chunks=None) as data:
         good = metrics.finite.reshape(grid.shape)

@@ -211,6 +211,15 @@ def names(place, content):
     return change
 
 
+def axis_outside(path):
+    """An array that is the folder around the store."""
+    sweep(axes={"..": [1.0, 5.0, 20.0]})(path)
+    record = json.loads((path / "zarr.json").read_bytes())
+    known = record["consolidated_metadata"]["metadata"]
+    known[".."] = known.pop("Td")
+    (path / "zarr.json").write_text(json.dumps(record))
+
+
 def version_2(path):
     shutil.rmtree(path)
     zarr.create_group(path, zarr_format=2).create_array("nmse", shape=(2,), dtype="f4")
@@ -272,6 +281,7 @@ REFUSED = {  # by every command, with these words
     "metric": (sweep(metrics=["../../victim/file"]), NO_STORE),
     "name": (sweep(name="../../victim"), NO_STORE),
     "axis": (sweep(axes={"../../victim": [1.0, 2.0]}), IS_NOT),
+    "axis outside": (axis_outside, IS_NOT),
     "cells": (sweep(axes={n: {"lin": [1, 2], "n": 10**7} for n in ("Td", "K0")}), "must be"),
     "shape": (array("nmse", shape=[2, 4]), IS_NOT),
     "large shape": (array("nmse", shape=[2, 10**12], chunk_grid=chunks(1, 10**12)), IS_NOT),
