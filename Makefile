@@ -39,7 +39,7 @@ lint: $(VENV)/installed
 	$(BIN)/mypy
 
 torture: $(VENV)/installed
-	FIC_SWEEP_TORTURE=1 $(BIN)/pytest -s tests/store tests/test_fuzz.py tests/test_native.py
+	FIC_SWEEP_TORTURE=1 $(BIN)/pytest -s tests/store tests/lanes tests/test_fuzz.py
 
 coverage: $(VENV)/installed
 	$(BIN)/pytest --cov --cov-report= $(STORE_TESTS)

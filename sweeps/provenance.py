@@ -9,6 +9,7 @@ from typing import Any
 import jax
 
 import fic_jax
+from fic_jax.engine import arithmetic
 
 # `resume` continues a store only if all of these are equal; the rest is for the reader.
 IDENTITY = (
@@ -48,15 +49,6 @@ def provenance(precision: int) -> dict[str, Any]:
 def differences(began: dict[str, Any], now: dict[str, Any]) -> list[str]:
     """What of `IDENTITY` differs between a store's attributes and those of this process."""
     return [f"{k} was {began.get(k)}, is {now[k]}" for k in IDENTITY if began.get(k) != now[k]]
-
-
-def arithmetic() -> str:
-    """The backend, and whether it contracts a product and a sum into one fused multiply-add."""
-    if jax.devices()[0].platform != "cpu" or not llvmlite():
-        return "xla"
-    from llvmlite.binding import get_host_cpu_features
-
-    return "lanes fused" if get_host_cpu_features().get("fma") else "lanes unfused"
 
 
 def llvmlite() -> str:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from fic_jax import Model, Params, Sample, energy, force
-from fic_jax.controller import latch
+from fic_jax.controller import begin_branch
 from fic_jax.params import canonical
 from fic_jax.passivity import lyapunov, potential
 from fic_jax.simulation import compiled_rollout
@@ -105,8 +105,8 @@ def _cycles(model: Model) -> tuple[list[tuple[float, float]], list[Path]]:
         motion = compiled_rollout(p, model, dt, n_steps)
 
         def of(sample: Sample) -> jax.Array:
-            attractor = latch(sample.e, sample.diverging, sample.e_M, p, model)
-            return lyapunov(sample.e, sample.v, attractor, p, model)
+            attractor = begin_branch(sample.e, sample.diverging, sample.e_M, p, model)
+            return lyapunov(sample.e, sample.v, attractor, p)
 
         return jax.vmap(of)(motion), motion
 
@@ -118,7 +118,7 @@ def _cycles(model: Model) -> tuple[list[tuple[float, float]], list[Path]]:
 def _until(p: Params, e_M: jax.Array, model: Model) -> jax.Array:
     """Energy that takes the diverging joint from e = 0 to e_M, J."""
     yes = jnp.ones((), bool)
-    return jax.vmap(lambda p, e: potential(e, latch(e, yes, e, p, model), p, model))(p, e_M)
+    return jax.vmap(lambda p, e: potential(e, begin_branch(e, yes, e, p, model), p))(p, e_M)
 
 
 def _path(V: np.ndarray, e_M: np.ndarray, diverging: np.ndarray) -> Path:
@@ -195,8 +195,8 @@ def _portrait(p: Params, e_M: jax.Array, model: Model) -> jax.Array:
     e = jnp.linspace(0.0, e_M, POINTS)
 
     def speeds(diverging: bool) -> jax.Array:
-        attractor = latch(e_M, jnp.array(diverging), e_M, p, model)
-        U = jax.vmap(lambda e: potential(e, attractor, p, model))(e)
+        attractor = begin_branch(e_M, jnp.array(diverging), e_M, p, model)
+        U = jax.vmap(lambda e: potential(e, attractor, p))(e)
         return jnp.sqrt(jnp.maximum(U[-1] - U, 0.0) / energy(e_M, p))
 
     return jnp.concatenate([speeds(True), speeds(False)])

@@ -20,12 +20,12 @@ from jax.scipy.linalg import expm
 from numpy.typing import NDArray
 
 from fic_jax import Model, Params
-from fic_jax.controller import latch, torque
+from fic_jax.controller import begin_branch, converging_slopes, torque
 from fic_jax.environment import interaction_torque
 from fic_jax.exploration import expected_reference, explore
-from fic_jax.integration import net_torque
 from fic_jax.params import canonical
 from fic_jax.profile import force
+from fic_jax.rk4 import net_torque
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -88,8 +88,8 @@ def first_branch(p: Params) -> tuple[Floats, Floats, Floats]:
 def _first_branch(batch: Params) -> tuple[jax.Array, jax.Array, jax.Array]:
     def one(p: Params) -> tuple[jax.Array, jax.Array, jax.Array]:
         e_M = expected_reference(p) - p.x_init
-        first = latch(e_M, jnp.asarray(True), e_M, p, LINEAR)
-        return force(e_M, p) / p.Td, first.effort_slope, first.energy_slope
+        slopes = converging_slopes(e_M, p, Model(law="algorithm1"))
+        return force(e_M, p) / p.Td, slopes.outer, slopes.inner
 
     return jax.vmap(one)(batch)
 
@@ -123,7 +123,7 @@ def _linearised(batch: Params, branch: str) -> tuple[jax.Array, ...]:
 def _one(p: Params, branch: str) -> tuple[jax.Array, ...]:
     x_h = expected_reference(p)
     e_M = x_h - p.x_init if branch == "start" else _error_at_rest(p)
-    attractor = latch(e_M, jnp.asarray(True), e_M, p, LINEAR)
+    attractor = begin_branch(e_M, jnp.asarray(True), e_M, p, LINEAR)
     attractor = replace(attractor, diverging=jnp.asarray(branch == "diverging"))
     # Where the torque is short of Fmax: the converging branch is linear, any such error will do.
     e = e_M if branch == "diverging" else 0.75 * e_M
@@ -131,7 +131,7 @@ def _one(p: Params, branch: str) -> tuple[jax.Array, ...]:
 
     def motion(y: jax.Array) -> jax.Array:
         x, v, x_h = y
-        tau = torque(x_h - x, attractor, p, LINEAR)
+        tau = torque(x_h - x, attractor, p)
         return jnp.stack([v, net_torque(p, tau, x, v, LINEAR) / p.I, jnp.zeros_like(v)])
 
     def touch(y: jax.Array) -> jax.Array:
