@@ -9,7 +9,7 @@ from sweeps.store.format import OK
 from sweeps.store.fsync import PARTIAL
 from sweeps.store.opening import open_store
 from tests.store.faults import Calls
-from tests.store.stores import change_attributes, flip, run
+from tests.store.stores import change_attributes, enlarge, flip, run
 
 
 def test_the_order_of_a_commit(stores, quick):
@@ -50,11 +50,13 @@ def test_a_store_with_a_link_is_not_written_to(golden, name):
         pass
 
 
-def test_a_store_that_another_process_changed_is_not_written_to(golden):
-    store = open_store(golden)
-    change_attributes(golden, block_cells=3)
-    with pytest.raises(SweepError, match="was changed by another process"), commit.writing(store):
-        pass
+@pytest.mark.parametrize("change", [enlarge, lambda path: change_attributes(path, block_cells=3)])
+def test_a_store_that_another_process_changed_is_not_written_to(stores, quick, change):
+    with stores.case("small") as path:
+        store = open_store(path)
+        change(path)
+        with pytest.raises(SweepError, match="was changed by another process; try again"):
+            run(store)
 
 
 def test_a_writer_deletes_partial_files_but_not_through_a_link(golden):

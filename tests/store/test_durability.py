@@ -308,7 +308,7 @@ def test_a_killed_process_loses_nothing(stores, quick, processes):
 def test_a_process_that_is_killed_at_any_time_loses_nothing(stores, quick, processes):
     """At random times, with the thread that commits beside the one that computes."""
     chance, kills, lasts = random.Random(3), 0, 1.0
-    for _ in range(500):
+    for _ in range(200):
         with stores.case() as path:
             sent = []
             while "ended" not in sent:
@@ -319,7 +319,7 @@ def test_a_process_that_is_killed_at_any_time_loses_nothing(stores, quick, proce
                     stores.sound(path, max((n for n in sent if n != "ended"), default=0))
             lasts = min(lasts, time.monotonic() - began)
             assert contents(path) == stores.expected[5]
-    report(f"500 stores, killed {kills} times")
+    report(f"200 stores, killed {kills} times")
 
 
 @pytest.mark.parametrize("place", ["tiny.zarr", f".tiny.zarr{PARTIAL}"])
