@@ -10,7 +10,7 @@ import numpy as np
 
 from fic_jax.engine.sweeping import length
 from fic_jax.params import QUANTITIES, Model, Params, ParamsError, check, check_count
-from fic_jax.simulation import SIGNALS, Sample, constant, init, sampled
+from fic_jax.simulation import SIGNALS, Sample, init, sampled, with_slopes
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -70,6 +70,6 @@ def _sampled(params: Params, model: Model, dt: jax.Array, n_samples: int, every:
         def body(state: Any, _: None) -> Any:
             return sampled(p, state, model, dt, every)
 
-        return jax.lax.scan(body, constant(p, init(p, model)), length=n_samples)[1]
+        return jax.lax.scan(body, with_slopes(p, init(p, model)), length=n_samples)[1]
 
     return jax.vmap(one)(params)
