@@ -11,7 +11,7 @@ from sweeps.spec.reading import parse
 from sweeps.spec.types import SweepError
 from sweeps.store import extend
 from sweeps.store.create import before_extension
-from sweeps.store.opening import open_store
+from sweeps.store.opening import Counts, open_store
 from tests.store.test_golden import LARGER
 
 
@@ -55,6 +55,17 @@ def test_a_damaged_store_is_not_extended(golden):
         extend.extend(store, LARGER, "larger.toml")
     assert open_store(golden).grid == store.grid
     assert os.listdir(golden.parent) == [golden.name]
+
+
+def test_cells_of_a_block_without_a_row_are_not_copied(golden):
+    """A kill between files and row: nothing guarantees what the files contain."""
+    store = open_store(golden)
+    before = Counts.of(store).cells
+    for name in store.variables:
+        shutil.copy(store.file(name, 0), store.file(name, 3))
+    larger = extend.extend(store, LARGER, "larger.toml")
+    after = Counts.of(larger).cells
+    assert (after["ok"], after["diverged"]) == (before["ok"], before["diverged"])
 
 
 CASES = """
