@@ -19,6 +19,7 @@ from sweeps import runner
 from sweeps.spec.types import SweepError
 from sweeps.store import extend, verify
 from sweeps.store.fsync import PARTIAL
+from sweeps.store.ledger import LEDGER
 from sweeps.store.lock import LOCK
 from sweeps.store.opening import open_store
 from tests.command import typed
@@ -343,17 +344,30 @@ def test_a_second_process_is_refused_until_the_first_is_gone(stores, quick, proc
         stores.settle(path)
 
 
-def test_a_reader_rolls_back_a_half_written_commit(stores, quick):
+@pytest.fixture
+def half_written(stores, quick):
+    """A finished store whose ledger has a half-written commit and its journal."""
     with stores.case("whole") as path:
-        before = open_store(path).rows()
         context = multiprocessing.get_context("forkserver")
-        process = context.Process(target=victim.half_a_commit, args=(path / "ledger.sqlite",))
+        process = context.Process(target=victim.half_a_commit, args=(path / LEDGER,))
         process.start()
         process.join()
         assert process.exitcode == -9
-        assert (path / "ledger.sqlite-journal").stat().st_size > 4000
-        assert open_store(path).rows() == before
-        stores.settle(path)
+        assert (path / f"{LEDGER}-journal").stat().st_size > 4000
+        yield path
+
+
+def test_a_reader_rolls_back_a_half_written_commit(stores, half_written):
+    assert [row.block for row in open_store(half_written).rows()] == [0, 1, 2]
+    stores.settle(half_written)
+
+
+def test_a_repair_keeps_the_journal_out_of_the_new_ledger(stores, half_written):
+    """The old ledger is missing, so that SQLite would play its journal into the new one."""
+    (half_written / LEDGER).unlink()
+    verify.repair_metadata(half_written)
+    assert open_store(half_written).rows() == []
+    stores.settle(half_written)
 
 
 def revoked_from(number):
