@@ -11,9 +11,9 @@ BIN := $(VENV)/bin
 SWEEPS := paper-welded paper-contact period-map atlas-small
 
 # every branch of what a sweep's numbers hang on; of the rest all but a few
-WHOLE := durable ledger owner commit store plan/grid
-NEARLY := layout runner verify extend plan/random_design
-STORE_TESTS := $(patsubst %,tests/test_%.py,store golden untrusted state_machine branches) tests/spec tests/plan
+WHOLE := $(addprefix store/,fsync lock ledger opening commit) plan/grid
+NEARLY := $(addprefix store/,format create extend verify) runner plan/random_design
+STORE_TESTS := tests/store tests/test_runner.py tests/spec tests/plan
 modules = $(subst $() ,$(comma),$(patsubst %,sweeps/%.py,$(1)))
 comma := ,
 
@@ -39,8 +39,7 @@ lint: $(VENV)/installed
 	$(BIN)/mypy
 
 torture: $(VENV)/installed
-	FIC_SWEEP_TORTURE=1 $(BIN)/pytest -s $(patsubst %,tests/test_%.py,durability state_machine untrusted native) \
-	  tests/spec/test_any_file.py
+	FIC_SWEEP_TORTURE=1 $(BIN)/pytest -s tests/store tests/lanes tests/spec/test_any_file.py
 
 coverage: $(VENV)/installed
 	$(BIN)/pytest --cov --cov-report= $(STORE_TESTS)

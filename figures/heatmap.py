@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from figures import hatch, style
 from figures.planes import Axis, Plane, PlotError, select
-from sweeps.store.opening import ERRORS
+from sweeps.store.format import ERRORS
 
 LOG_METRICS = ("nmse", "nmse_tail", *ERRORS)  # the paper compares decades
 LINEAR_METRICS = ("convergence_time", "contact_time")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fic_jax import QUANTITIES, TRUST
 from figures import style
-from sweeps.store.opening import ERRORS, FLAGS, OK, STATUS, TRUSTED
+from sweeps.store.format import ERRORS, FLAGS, OK, STATUS, TRUSTED
 
 
 class PlotError(ValueError):

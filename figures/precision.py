@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from figures.heatmap import panels
 from figures.planes import select
 from figures.style import save
-from sweeps.store.opening import DIVERGED, OK, dataset
+from sweeps.store.format import DIVERGED, OK
+from sweeps.store.opening import dataset
 
 BOUNDS = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # relative differences of the table
 SHARES = {"half of the scenarios below": 0.5, "95 % of the scenarios below": 0.95}

@@ -33,7 +33,7 @@ from sweeps.paper import (
 )
 from sweeps.paper.judge import judge
 from sweeps.paper.record import PRINTED
-from sweeps.store.opening import OK
+from sweeps.store.format import OK
 
 WELDED = Model(law="effort", contact="welded")
 SOFT = Params(K0=60.0, Denv=20.0, period=0.02)  # e stays in the linear zone; lightly damped

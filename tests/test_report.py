@@ -20,10 +20,10 @@ from sweeps.paper.record import Condition, Evidence, Findings, Reading, Section
 from sweeps.paper.stores import ensure
 from sweeps.paper.web import page_html, paragraphs
 from sweeps.spec.mistakes import SweepError
-from sweeps.store.opening import Tally
-from tests.changed import note
+from sweeps.store.opening import Counts
 from tests.command import call
 from tests.reference import discrete
+from tests.store.stores import change_attributes
 
 CLAIM = {claim.id: claim for claim in CLAIMS}
 
@@ -319,7 +319,7 @@ def test_missing_stores_are_run_and_unfinished_ones_resumed(library, tmp_path):
     with xr.open_zarr(paths["tiny"]) as data:
         assert data["nmse"].dtype == np.float32
         first = data.load()
-    runner.reopen(paths["tiny"], 32).ledger.forget([0])  # as if stopped before its only block
+    runner.reopen(paths["tiny"], 32).ledger.delete([0])  # as if stopped before its only block
     ensure(tmp_path / "r", ["tiny"], library, tell)
     assert told[2:] == [("tiny", 0, 0), ("tiny", 4, 4)]
     with xr.open_zarr(paths["tiny"]) as data:
@@ -340,7 +340,7 @@ def test_a_store_of_another_program_or_sweep_is_refused_by_name(library, tmp_pat
     with pytest.raises(SweepError, match=r"tiny\.zarr: holds another sweep than `tiny` of the lib"):
         ensure(tmp_path / "r", ["tiny"], library, lambda *_: None)
     (library / "tiny.toml").write_text(TINY)
-    note(paths["tiny"], program="0123456789abcdef")
+    change_attributes(paths["tiny"], numerics=0)
     with pytest.raises(SweepError, match=r"tiny\.zarr: was begun by another program .*remove it"):
         ensure(tmp_path / "r", ["tiny"], library, lambda *_: None)
 
@@ -381,7 +381,7 @@ def test_an_interrupted_report_keeps_its_stores_and_writes_no_page(small, tmp_pa
     results = tmp_path / "results"
     with pytest.raises(KeyboardInterrupt):
         compose.compose(results, surroundings(small, [], stop), [CLAIM["C11"]], [])
-    assert not Tally.of(runner.open_store(results / "tiny.zarr")).pending
+    assert not Counts.of(runner.open_store(results / "tiny.zarr")).pending
     assert not list(results.glob("*report*"))
 
 

@@ -57,8 +57,6 @@ ROOMS = {
         "sweeps.cli",
         "figures",
     },
-    "sweeps.store.extend": {*STORE, "sweeps.provenance"},
-    "sweeps.store.verify": {*STORE, "sweeps.provenance", "sweeps.runner"},
 }
 
 

@@ -32,12 +32,12 @@ def verify(
     ] = False,
 ) -> None:
     """Compare every file of a store with its ledger."""
-    from sweeps.store.verify import mend_frame
+    from sweeps.store.verify import repair_metadata
 
     with system_errors_reported(path):
         report = _check(path)
-        if repair and report.frame:
-            mend_frame(path)
+        if repair and report.metadata:
+            repair_metadata(path)
             report = _check(path)
         if repair and report.bad_blocks:
             _recompute(path, report.bad_blocks)
@@ -56,7 +56,7 @@ def _check(path: Path) -> "Report":
 
 def _recompute(path: Path, blocks: list[int]) -> None:
     from sweeps.cli.messages import counted, interrupted
-    from sweeps.store.verify import recompute
+    from sweeps.runner import recompute
 
     print(f"{path}: computing {counted(len(blocks), 'block')} again", flush=True)
     stop, store = interruption.stop_on_signals(), reopen(path)

@@ -10,9 +10,9 @@ import numpy as np
 from sweeps.plan.grid import Grid
 from sweeps.runner import Progress
 from sweeps.spec.mistakes import SweepError, printable
-from sweeps.store.format import size
+from sweeps.store.format import DIVERGED, size
 from sweeps.store.ledger import Row, intact
-from sweeps.store.opening import DIVERGED, Store, Tally
+from sweeps.store.opening import Counts, Store
 from sweeps.store.verify import Report
 
 MAX_PROBLEMS = 20  # damaged files that `verify` names
@@ -41,18 +41,18 @@ def expectation(grid: Grid, compiling: float, rate: float) -> str:
 
 def status_lines(store: Store) -> list[str]:
     """How far a store is, and which program made it on which device."""
-    tally, attrs, grid = Tally.of(store), store.group.attrs.asdict(), store.grid
-    diverged = _diverged(store) if tally.cells["diverged"] else ()
-    trusted = [_trusted(store, tally)] if grid.sweep.error_estimate else []
+    counts, attrs, grid = Counts.of(store), store.group.attrs.asdict(), store.grid
+    diverged = _diverged(store) if counts.cells["diverged"] else ()
+    trusted = [_trusted(store, counts)] if grid.sweep.error_estimate else []
     made_by = f"fic_jax {attrs['fic_jax']} ({attrs['revision']}), jax {attrs['jax']}"
     return [
         f"{store.path}: {grid.sweep.name}, {_dims(grid)}",
-        f"done      {tally.done:,} of {grid.cells:,} cells ({_percent(tally.done, grid.cells)})",
-        *(f"  {name:8}{count:>14,}" for name, count in tally.cells.items()),
+        f"done      {counts.done:,} of {grid.cells:,} cells ({_percent(counts.done, grid.cells)})",
+        *(f"  {name:8}{count:>14,}" for name, count in counts.cells.items()),
         *(f"diverged  {scenario}" for scenario in diverged),
-        *(f"failed    {block}" for block in _set_aside(store, tally.set_aside)),
+        *(f"failed    {block}" for block in _set_aside(store, counts.set_aside)),
         *(f"trusted   {share}" for share in trusted),
-        f"blocks    {len(tally.pending):,} of {grid.n_blocks:,} to do",
+        f"blocks    {len(counts.pending):,} of {grid.n_blocks:,} to do",
         printable(f"began     {attrs['start']}, ended {attrs.get('end', 'not yet')}"),
         printable(f"made by   {made_by}"),
         printable(f"on        {attrs['device']}, {attrs['dtype']}"),
@@ -81,8 +81,8 @@ def _diverged(store: Store) -> Iterator[str]:
     for row in store.rows():
         if not row.diverged or not left:
             continue
-        block, stamp = store.grid.block(row.block), row.files.get("status")
-        if stamp and not intact(store.file("status", row.block), stamp):
+        block, checksum = store.grid.block(row.block), row.files.get("status")
+        if checksum and not intact(store.file("status", row.block), checksum):
             raise store.damaged(f"block {row.block} is not as it was written")
         places = np.argwhere(np.asarray(store.array("status")[block]) == DIVERGED)[:left]
         for place in places:
@@ -126,7 +126,7 @@ def summary(store: Store, result: Progress) -> str:
     diverged = f", {result.diverged:,} diverged" if result.diverged else ""
     parts = [f"{result.ran:,} scenarios in {_duration(result.seconds)}{speed}{diverged}"]
     if store.grid.sweep.error_estimate:
-        parts.append(f"trusted {_trusted(store, Tally.of(store))}")
+        parts.append(f"trusted {_trusted(store, Counts.of(store))}")
     return f"{store.path}: {'; '.join(parts)}"
 
 
@@ -158,7 +158,7 @@ def interrupted(store: Store, error: BaseException) -> str:
     why = "interrupted" if isinstance(error, KeyboardInterrupt) else f"failed: {_reason(error)}"
     total, rest = store.grid.n_blocks, f"{_resume(store)} does the rest"
     try:
-        done = total - len(Tally.of(store).pending)
+        done = total - len(Counts.of(store).pending)
     except (OSError, SweepError):  # the folder is gone, or has become unreadable
         return f"{why}; what was finished is kept if the folder is, {rest}"
     return f"{why}; {done} of {total} blocks are kept, {rest}"
@@ -181,9 +181,9 @@ def _reason(error: BaseException) -> str:
     return f"{file}: {words}" if file else words
 
 
-def _trusted(store: Store, tally: Tally) -> str:
+def _trusted(store: Store, counts: Counts) -> str:
     """How many of the finished cells are trusted, in a store with error estimates."""
-    share = f"{tally.trusted:,} of {tally.done:,} cells ({_percent(tally.trusted, tally.done)})"
+    share = f"{counts.trusted:,} of {counts.done:,} cells ({_percent(counts.trusted, counts.done)})"
     bound = float(str(store.group.attrs["trust_bound"]))
     return f"{share}, nmse known to {100 * bound:g} %"
 

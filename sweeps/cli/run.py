@@ -116,12 +116,12 @@ def _finish(store: "Store", stop: interruption.Stop) -> None:
     """Run a store to its end and print the result; an error leaves finished blocks as they are."""
     from sweeps.cli.messages import failed_blocks, interrupted, summary
     from sweeps.runner import run as run_store
-    from sweeps.store.opening import Tally
+    from sweeps.store.opening import Counts
 
     try:
         result = run_with_progress(store, stop)
     except (KeyboardInterrupt, OSError) as error:
-        if isinstance(error, OSError) or Tally.of(store).pending:
+        if isinstance(error, OSError) or Counts.of(store).pending:
             fail(interrupted(store, error))
         # The stop came during the last block: only the time of the end is missing.
         result = run_store(store, lambda _: None)

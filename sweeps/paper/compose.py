@@ -110,7 +110,7 @@ def told(paths: Mapping[str, Path]) -> dict[str, str]:
     made = {name: dataset(path).attrs for name, path in paths.items()}
     return {
         "program": f"fic_jax {program['fic_jax']}, revision {program['revision']}",
-        "fingerprint": program["program"],
+        "arithmetic": f"numerics {program['numerics']}, {program['arithmetic']}",
         "packages": ", ".join(f"{name} {version(name)}" for name in packages),
         "claims": "double precision",
         "stores": ", ".join(f"{name} ({a['dtype']}, {a['revision']})" for name, a in made.items()),

@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 
 from sweeps.paper.record import Section
-from sweeps.store.opening import OK
+from sweeps.store.format import OK
 
 SETTLED = 1e-4  # nmse_tail below which no residual is left to speak of (C1)
 SAME = 0.01  # relative change of nmse_tail that counts as none

@@ -6,7 +6,7 @@ import xarray as xr
 from fic_jax import Params
 from sweeps.paper import formulas
 from sweeps.paper.record import Section
-from sweeps.store.opening import OK
+from sweeps.store.format import OK
 
 PAPER = 0.01
 FACTOR = 2.0  # sigma within this factor of the best counts as found

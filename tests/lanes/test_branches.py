@@ -9,9 +9,9 @@ import pytest
 
 from fic_jax.lanes import lane_map, where_rare
 from fic_jax.lanes.graph import Branch, live
-from tests.faults import TORTURE
 from tests.lanes.compiling import ODD, assert_same, compiled_graph
 from tests.lanes.programs import N_COLUMNS, program
+from tests.store.faults import TORTURE
 
 PROGRAMS = 1000 if os.environ.get(TORTURE) else 40
 

@@ -23,8 +23,8 @@ from sweeps.spec.rules import out_of_bounds
 from sweeps.spec.types import COUPLED, MAX_CELLS
 from sweeps.spec.warnings import warnings_of
 from sweeps.store.format import size
-from tests import faults
 from tests.effort import lines_executed
+from tests.store import faults
 
 TORTURE = bool(os.environ.get(faults.TORTURE))
 FILES = 12_000 if TORTURE else 400

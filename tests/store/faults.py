@@ -1,4 +1,5 @@
-"""Faults for tests: every call that changes a folder is numbered, and any of them can go wrong."""
+"""Faults: `Calls` numbers every call that changes a folder and makes one of them go wrong; `Disk`
+knows what a power cut would leave."""
 
 import errno
 import io
@@ -10,34 +11,39 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-TORTURE = "FIC_SWEEP_TORTURE"  # set by `make torture`: all of what CI takes a part of
+TORTURE = "FIC_SWEEP_TORTURE"  # set by `make torture`: every case instead of some
+
+
+def many(some, every):
+    """How many cases to try."""
+    return every if os.environ.get(TORTURE) else some
+
 
 ON_PATHS = ("open", "replace", "rename", "mkdir", "unlink", "rmdir")
 ON_DESCRIPTORS = ("close", "write", "pwrite", "fsync", "ftruncate")
 
 
 class Killed(BaseException):
-    """Ends a simulated process: no call does anything from here on."""
+    """Ends a simulated process: no later call does anything."""
 
 
 @dataclass(frozen=True)
 class Call:
-    """One step: a system call, a file that Zarr makes (`create`), a step of SQLite."""
+    """A system call, a file that Zarr makes (`create`), or a step of SQLite."""
 
     number: int
     name: str
     path: str
 
 
-Fault = type[Killed] | int | float | None  # an errno; a share of what is written (a short write)
+Fault = type[Killed] | int | float | None  # kill; errno; share of a short write; no fault
 
 
 class Calls:
-    """While entered, the calls of this process that change what is below a folder, in order.
+    """While entered, records the calls of this process that change a folder or anything in it.
 
-    `fault` is asked before each and says what becomes of it: nothing special; the process is
-    killed (a write is then half done; before a call is after the one before it); the system
-    refuses; a write takes a part. `after` is told of each that was made.
+    `fault(call)` decides before each call what goes wrong: a kill (a write is then half done), an
+    error, a short write, or nothing. `after(call)` follows each call that was made.
     """
 
     def __init__(
@@ -70,7 +76,7 @@ class Calls:
         self._paths.clear()
 
     def _where(self, name: str, args: tuple, kwargs: dict) -> str | None:
-        """What a call is about, if that is below the folder."""
+        """The path that a call changes, if it is in the folder."""
         if name in ON_DESCRIPTORS:
             return self._paths.get(args[0])
         base = self._paths.get(kwargs.get("dir_fd"), "")
@@ -109,7 +115,7 @@ class Calls:
         return call, self.fault(call)
 
     def _step(self, name: str, where: str) -> Call:
-        """A step that is no single system call."""
+        """A step of several system calls."""
         call, fault = self._next(name, where)
         if isinstance(fault, int) and name != "create":
             error = sqlite3.OperationalError("disk I/O error, or it is full")
@@ -120,7 +126,7 @@ class Calls:
         return call
 
     def _end(self, fault: Fault, *where: str) -> None:
-        """The kill or the error that a call ends in, if any."""
+        """Raise what the fault asks for."""
         if fault is Killed:
             self.dead = True
             raise Killed
@@ -154,24 +160,24 @@ class Calls:
 
 
 class Disk:
-    """What a power cut would leave of a folder, as `Calls` tells what is done in it.
+    """What a power cut would leave of a folder, from the calls that `Calls` reports to `after`.
 
-    A file's contents are on the disk once it was flushed, names once their folder was, a commit
-    of SQLite when it returns. Whatever was there at first is on the disk. A change of names is
-    there or not; what is between two changes belongs to the second.
+    Contents are on the disk after the fsync of their file, names after the fsync of their folder,
+    a commit of SQLite when it returns, and what existed at first. Without fsync a change may
+    survive, wholly or, for contents, by half.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.contents: dict[int, bytes] = {}  # inode -> what is flushed of it
-        self.names: dict[int, dict[str, int]] = {}  # folder -> name -> inode, flushed
-        self.changes: dict[int, list[dict[str, int | None]]] = {}  # of names, not flushed
+        self.contents: dict[int, bytes] = {}  # inode -> contents on the disk
+        self.names: dict[int, dict[str, int]] = {}  # folder -> name -> inode, on the disk
+        self.changes: dict[int, list[dict[str, int | None]]] = {}  # of names, without fsync
         self.seen: dict[int, dict[str, int]] = {}  # folder -> name -> inode, as it is
         for path in (folder, *folder.rglob("*")):
             self._flush(path)
 
     def after(self, call: Call) -> None:
-        """Take note of a call that was made."""
+        """Record a call that was made."""
         path = Path(call.path)
         if call.name in ("fsync", "commit") and path.exists():
             self._flush(path)
@@ -195,9 +201,9 @@ class Disk:
         self.seen[inode] = now
 
     def left(self, survives: Callable[[], bool]) -> dict[str, bytes | None]:
-        """What is there after a power cut now, files with their contents and folders.
+        """The files with contents, and folders (None), after a power cut now.
 
-        `survives` is asked for each effect that is not flushed.
+        `survives()` decides for each change without fsync.
         """
         live = {os.lstat(p).st_ino: p for p in (self.folder, *self.folder.rglob("*"))}
         return dict(self._below(os.lstat(self.folder).st_ino, "", survives, live))
@@ -222,7 +228,7 @@ class Disk:
 
 
 def build(left: dict[str, bytes | None], target: Path) -> None:
-    """Make the files that a power cut left."""
+    """Write the files that a power cut left."""
     for place, content in left.items():
         path = Path(f"{target}{place}")
         if content is None:
