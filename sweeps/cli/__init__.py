@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 
 if TYPE_CHECKING:
-    from sweeps.paper.compose import Surroundings
     from sweeps.runner import Progress
     from sweeps.spec.types import Sweep
     from sweeps.store.opening import Store
@@ -328,35 +327,13 @@ def report(
 ) -> None:
     """Hold the paper's claims against simulations: report.md and report.html, in some minutes."""
     asked = _stop_between_blocks()
+    from figures.report import draw
     from sweeps import runner
-    from sweeps.paper import compose
+    from sweeps.paper import report
     from sweeps.paper.claims import chosen
 
-    claims = chosen(only or [])
-    runner.configure(64)
-    given = _surroundings(asked)
-    if only:
-        for line in compose.lines(compose.judged(claims, given)):
-            print(line)
-        return
-    try:
-        page = compose.compose(results, given)
-    except (KeyboardInterrupt, OSError) as error:
-        why = "interrupted" if isinstance(error, KeyboardInterrupt) else f"failed: {error}"
-        rest = f"the stores in {results} are kept, the same command does the rest"
-        print(f"fic-sweep: {why}; {rest}", file=sys.stderr)
-        raise typer.Exit(1) from None
-    print(f"wrote {results / 'report.md'} and {results / 'report.html'}")
-    if docs:
-        print(f"wrote {compose.copy(page, results, docs)}")
-
-
-def _surroundings(asked: list[int]) -> "Surroundings":
-    """What a report needs of the command line: the library, the pictures, lines and stops."""
-    from figures.report import draw
-    from sweeps.paper.compose import Surroundings
-
-    def go_on() -> None:
+    def say(line: str) -> None:
+        print(line, flush=True)
         if asked:
             raise KeyboardInterrupt
 
@@ -365,7 +342,21 @@ def _surroundings(asked: list[int]) -> "Surroundings":
             print(f"{name}: {progress.cells:,} scenarios", flush=True)
         _stop_if(asked, progress)
 
-    return Surroundings(LIBRARY, lambda line: print(line, flush=True), running, go_on, draw)
+    claims = chosen(only or [])
+    runner.configure(64)
+    if only:
+        for section in report.sections(claims, say):
+            print(f"\n{section.heading}\n\n{section.text}")
+        return
+    try:
+        pages = report.make(results, say, running, draw, docs=docs)
+    except (KeyboardInterrupt, OSError) as error:
+        why = "interrupted" if isinstance(error, KeyboardInterrupt) else f"failed: {error}"
+        rest = f"the stores in {results} are kept, the same command does the rest"
+        print(f"fic-sweep: {why}; {rest}", file=sys.stderr)
+        raise typer.Exit(1) from None
+    for page in pages:
+        print(f"wrote {page}")
 
 
 def _version(asked: bool) -> None:
