@@ -77,7 +77,10 @@ def finding_section(finding: ModuleType, data: xr.Dataset) -> Section:
     name = name_of(finding)
     words = read(f"findings/{name}")
     text = words.body.format_map(words.numbers(finding.rows(data)))
-    text = f"{text}\n\n{table(finding.table(data))}"
+    lines = finding.lines(data).to_dict("records")
+    columns = words.head["table"].items()
+    cells = {title: [cell.format_map(line) for line in lines] for title, cell in columns}
+    text = f"{text}\n\n{table(pd.DataFrame(cells))}"
     title = words.head["title"]
     row = {"": f"[{title}](#{name})"}
     return Section(name, title, name, text, "fic-sweep report", row)

@@ -3,6 +3,7 @@
 The section [numbers] of the head says how each number follows from a table of the claim or
 finding: "nmse.max() where printed and Td <= Fmax" is the largest nmse of the rows for which the
 query after `where` is true. pandas evaluates both (`DataFrame.eval`, `DataFrame.query`).
+The section [table] holds the columns of a table: a title, and a cell with numbers in braces.
 """
 
 import tomllib

@@ -20,7 +20,6 @@ from figures import findings
 from figures.findings import PLOTS
 from figures.findings.variable_step import SHOWN
 from sweeps.paper import accepted, formulas, loop
-from sweeps.paper.claims import CLAIMS
 from sweeps.paper.findings import (
     FINDINGS,
     limit_cycle,
@@ -159,9 +158,10 @@ def test_limit_cycles_are_where_the_formula_puts_them(cycles):
     expected[:2, 1:] = True  # K0 = 2 and 10 at 100 and 200 ms
     for found in (here["cycles"], here["closed"], here["linear"]):
         np.testing.assert_array_equal(found.values, expected)
-    right = "100.0 % (0.0, 0.0)"
-    first = ["algorithm1, welded", "period", "33.3 %", right, right]
-    assert limit_cycle.table(cycles).iloc[0].tolist() == first
+    line = limit_cycle.lines(cycles).iloc[0]
+    assert (line["reading"], line["map"]) == ("algorithm1, welded", "period")
+    assert line["cycles"] == pytest.approx(100 / 3)
+    assert (line.closed_right, line.closed_false, line.closed_missed) == (100.0, 0.0, 0.0)
 
 
 def test_the_stripe_lies_where_both_rests_pass_the_end_of_the_linear_zone(cycles):
@@ -172,9 +172,10 @@ def test_the_stripe_lies_where_both_rests_pass_the_end_of_the_linear_zone(cycles
     np.testing.assert_array_equal(limit_cycle.outstanding(cycles), INSIDE)
 
 
-def test_confusion_counts_each_kind():
-    cells = xr.Dataset({"says": ("cell", [1, 1, 0, 0]), "is_so": ("cell", [1, 0, 1, 0])})
-    assert limit_cycle.confusion(cells, "says", "is_so") == (50.0, 25.0, 25.0)
+def test_a_formula_that_is_always_wrong_is_said_to_be(cycles):
+    line = limit_cycle.lines(cycles.assign(closed=~cycles["closed"])).iloc[0]
+    shares = line[["closed_right", "closed_false", "closed_missed"]].astype(float)
+    np.testing.assert_allclose(shares, [0.0, 200 / 3, 100 / 3])
 
 
 def store(model: Model, **axes: np.ndarray | list[float]) -> xr.Dataset:
@@ -263,17 +264,14 @@ def test_no_step_is_longer_than_the_limit(stepped):
     assert float(t.diff("k").max()) <= accepted.LIMIT * (1 + 1e-12)
 
 
-WELDED_CLAIMS = CLAIMS[:4]
-
-
 @pytest.fixture(scope="module")
 def judged():
     models = [Model(), Model(law="energy", feedback="motor")]
-    return readings.measure(models, WELDED_CLAIMS, ["10 ms"])
+    return readings.measure(models, settings=["10 ms"])
 
 
 def test_readings_are_judged_as_the_report_judges(judged):
-    for claim in WELDED_CLAIMS:
+    for claim in readings.CLAIMS:
         cell = judged.sel(model=readings.words(Model()), setting="10 ms", claim=claim.id)
         printed = judge(claim)
         assert float(cell["score"]) == printed.score
@@ -281,10 +279,10 @@ def test_readings_are_judged_as_the_report_judges(judged):
 
 
 def test_the_table_of_readings_marks_the_default(judged):
-    table = readings.table(judged)
-    assert table.shape == (2, 4 + len(WELDED_CLAIMS))
-    names = table["law, divergence, peak, feedback"]
-    assert names.str.endswith("(default)").sum() == 1
+    lines = readings.lines(judged)
+    assert lines["name"].str.endswith("** (default)").tolist() == lines["default"].tolist()
+    assert lines["default"].sum() == 1
+    assert list(lines["marks"][0]) == [claim.id for claim in readings.CLAIMS]
     ranked = readings.ranking(judged)
     assert ranked["fit"].is_monotonic_decreasing and list(ranked["rank"]) == [1, 2]
 
@@ -297,7 +295,7 @@ def gained():
 def test_the_swing_follows_the_derived_factor(gained):
     """sqrt((r - 1)/2) each round, to 0.5 %: the changes fall on a grid of 1 ms."""
     np.testing.assert_allclose(gained["factor"], np.sqrt((gained["ratio"] - 1) / 2), rtol=5e-3)
-    assert list(online_gains.table(gained)["r"]) == ["2", "2.9", "3.2", "4", "10"]
+    assert list(online_gains.lines(gained)["ratio"]) == [2.0, 2.9, 3.2, 4.0, 10.0]
 
 
 @pytest.fixture(scope="module")
@@ -314,7 +312,7 @@ def test_every_number_of_every_finding_is_in_its_words(data):
         assert fields == set(words.head["numbers"])
         section = finding_section(finding, data[name])
         assert not set("{}") & set(section.text)
-        assert section.text.count("\n| ") == len(finding.table(data[name])) + 2
+        assert section.text.count("\n| ") == len(finding.lines(data[name])) + 2
 
 
 def labels(figure) -> set[str]:

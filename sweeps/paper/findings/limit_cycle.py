@@ -131,33 +131,10 @@ def _stripe(K0: np.ndarray) -> dict[str, Any]:
     }
 
 
-def confusion(cells: xr.Dataset, predicted: str, measured: str) -> tuple[float, float, float]:
-    """Percent of the cells: right, predicted but not measured, measured but not predicted."""
-    says, is_so = (cells[name].values.astype(bool) for name in (predicted, measured))
-    shares = np.mean(says == is_so), np.mean(says & ~is_so), np.mean(~says & is_so)
-    right, false, missed = (100 * float(share) for share in shares)
-    return right, false, missed
-
-
 def outstanding(data: xr.Dataset) -> np.ndarray:
     """K0 of the stripe: where the printed law is worse than `effort` by more than WORSE."""
     printed, effort = data["stripe_tail"].values
     return np.asarray(data["stripe_K0"].values[printed > WORSE * effort])
-
-
-def table(data: xr.Dataset) -> pd.DataFrame:
-    """How well the formulas tell, a row for each reading and map."""
-    rows = []
-    for reading in data["reading"].values:
-        for name in data["map"].values:
-            cells = data.sel(reading=reading, map=name)
-            row = {"reading": str(reading), "map": str(name)}
-            row["limit cycle"] = f"{100 * float(cells['cycles'].mean()):.1f} %"
-            for formula, text in (("closed", "closed form"), ("linear", "sampled linear loop")):
-                right, false, missed = confusion(cells, formula, "cycles")
-                row[f"{text} right (false, missed)"] = f"{right:.1f} % ({false:.1f}, {missed:.1f})"
-            rows.append(row)
-    return pd.DataFrame(rows)
 
 
 def rows(data: xr.Dataset) -> pd.DataFrame:
@@ -167,3 +144,18 @@ def rows(data: xr.Dataset) -> pd.DataFrame:
     return cells.assign(
         stripe_from=stripe.min(), stripe_to=stripe.max(), rest_from=low, rest_to=high
     )
+
+
+def lines(data: xr.Dataset) -> pd.DataFrame:
+    """How well the formulas tell, in percent of the cells, a row for each reading and map.
+
+    Of the formulas `closed` and `linear`: `..._right`, predicted but not measured (`..._false`),
+    measured but not predicted (`..._missed`).
+    """
+    cells = rows(data)
+    for name in ("closed", "linear"):
+        cells[f"{name}_right"] = cells[name] == cells["cycles"]
+        cells[f"{name}_false"] = cells[name] & ~cells["cycles"]
+        cells[f"{name}_missed"] = ~cells[name] & cells["cycles"]
+    groups = cells.groupby(["reading", "map"], sort=False)
+    return (100 * groups.mean(numeric_only=True)).reset_index()

@@ -35,19 +35,11 @@ def _factor(swing: np.ndarray, length: float, derived: float) -> float:
     return float((swing[peak - 1 : peak + 2].max() / RELEASE) ** (1.0 / rounds))
 
 
-def table(data: xr.Dataset) -> pd.DataFrame:
-    """The factor measured beside the derived one."""
-    last = data["swing"][:, -LAST:].max("t")
-    return pd.DataFrame(
-        {
-            "r": [f"{value:g}" for value in data["ratio"].values],
-            "factor a round, derived": [f"{value:.3f}" for value in data["predicted"].values],
-            "measured": [f"{value:.3f}" for value in data["factor"].values],
-            "x in the last 10 s of 40, rad": [f"{value:.2g}" for value in last.values],
-        }
-    )
-
-
 def rows(data: xr.Dataset) -> pd.DataFrame:
-    """The swing, a row for each ratio and time."""
-    return data["swing"].to_dataframe().reset_index()
+    """A row for each ratio; `top` and `last`, the largest swing of the run and of its last 10 s."""
+    swing = data["swing"]
+    ends = data.assign(top=swing.max("t"), last=swing[:, -LAST:].max("t"))
+    return ends.drop_dims("t").to_dataframe().reset_index()
+
+
+lines = rows

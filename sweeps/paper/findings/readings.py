@@ -85,32 +85,20 @@ def ranking(data: xr.Dataset) -> pd.DataFrame:
     return cells.assign(rank=cells.index + 1, default=default)
 
 
-def table(data: xr.Dataset) -> pd.DataFrame:
-    """The readings that fit best, and the default."""
-    lines = []
-    for row in ranking(data).query(f"rank <= {SHOWN} or default").itertuples():
-        cell = data.sel(model=row.model, setting=row.setting)
-        line = {
-            "rank": row.rank,
-            "law, divergence, peak, feedback": row.model,
-            "period, contact": row.setting,
-            "fit": f"{row.fit:.0f} %",
-        }
-        if row.default:
-            line["law, divergence, peak, feedback"] = f"**{row.model}** (default)"
-        signs = [SIGNS[int(verdict)] for verdict in cell["verdict"]]
-        shares = [f"{100 * float(score):.0f}" for score in cell["score"]]
-        lines.append(
-            line
-            | dict(
-                zip(
-                    cell["claim"].values,
-                    map(" ".join, zip(signs, shares, strict=True)),
-                    strict=True,
-                )
+def lines(data: xr.Dataset) -> pd.DataFrame:
+    """The readings that fit best, and the default, with the sign and share of each claim."""
+    found = []
+    for row in ranking(data).query(f"rank <= {SHOWN} or default").to_dict("records"):
+        cell = data.sel(model=row["model"], setting=row["setting"])
+        marks = {
+            str(claim): f"{SIGNS[int(verdict)]} {100 * float(score):.0f}"
+            for claim, verdict, score in zip(
+                cell.claim.values, cell.verdict, cell.score, strict=True
             )
-        )
-    return pd.DataFrame(lines)
+        }
+        name = "**{model}** (default)" if row["default"] else "{model}"
+        found.append(row | {"marks": marks, "name": name.format_map(row)})
+    return pd.DataFrame(found)
 
 
 def rows(data: xr.Dataset) -> pd.DataFrame:

@@ -79,32 +79,18 @@ def _shares(
     return xr.Dataset(values)
 
 
-def table(data: xr.Dataset) -> pd.DataFrame:
-    """A row for all cells and for either side of K0 x0 = Td."""
-    rows = []
-    for part, text in (("all", "all"), ("saturating", "K0 x0 < Td"), ("linear", "K0 x0 > Td")):
-        row = {name: float(value) for name, value in data.sel(part=part).items() if not value.dims}
-        share = {name: f"{100 * value:.1f} %" for name, value in row.items()}
-        falls, grows = (f"{share[n]} ({row[f'median_{n}']:.2g})" for n in ("better", "worse"))
-        rows.append(
-            {
-                "cells": text,
-                "share": share["cells"],
-                "nmse_tail falls (median factor)": falls,
-                "nmse_tail grows (median factor)": grows,
-                f"nmse_tail <= {SETTLED:g}, with Fmax = 15": share["settled_paper"],
-                "with Fmax = Td": share["settled"],
-                "mean error falls / grows": f"{share['steady_better']} / {share['steady_worse']}",
-                "converges sooner / later": f"{share['faster']} / {share['slower']}",
-            }
-        )
-    return pd.DataFrame(rows)
-
-
 def rows(data: xr.Dataset) -> pd.DataFrame:
     """The shares of each part, in percent; `harmed`, the least Denv whose median over K0 grows."""
     by_Denv = data["change_Denv"].median("K0")
     shares = 100 * data[[name for name in data if data[name].dims == ("part",)]].to_dataframe()
+    factors = {name: shares[name] / 100 for name in ("median_better", "median_worse")}
     return shares.reset_index().assign(
-        pairs=data.attrs["scenarios"], harmed=float(by_Denv["Denv"].where(by_Denv > 0).min())
+        **{name: factor.to_numpy() for name, factor in factors.items()},
+        pairs=data.attrs["scenarios"],
+        harmed=float(by_Denv["Denv"].where(by_Denv > 0).min()),
     )
+
+
+def lines(data: xr.Dataset) -> pd.DataFrame:
+    """`rows`, all cells first, then either side of K0 x0 = Td."""
+    return rows(data).assign(text=["all", "K0 x0 < Td", "K0 x0 > Td"])

@@ -54,43 +54,26 @@ def _nearest(sigma: xr.DataArray, wanted: xr.DataArray) -> xr.DataArray:
     return place.astype(int)
 
 
-def table(data: xr.Dataset) -> pd.DataFrame:
-    """A row for each stiffness: which sigma, and what it is worth."""
-    rows = []
-    for K0 in data["K0"].values:
-        here = data.sel(K0=K0)
-        ruled = here["rule"].notnull()
-        low, best, high = here["best_nmse"].quantile([0.1, 0.5, 0.9]).values
-        gain = here["gain_nmse"].quantile([0.5, 0.9]).values
-        # gain of the convergence time: inf where 0.01 never converges, NaN where nothing does
-        time = here["gain_convergence_time"]
-        paper, ever = (100 * float(w.mean()) for w in (np.isfinite(time), time.notnull()))
-        rule = {"over": "none: r > 1", "found": ""}
-        if ruled.any():
-            loss = here["loss_nmse"].where(ruled).quantile([0.5, 0.9]).values
-            rule["over"] = f"{loss[0]:.3g} ({loss[1]:.3g})"
-            rule["found"] = f"{100 * _found(here):.0f} %"
-        rows.append(
-            {
-                "K0, N·m/rad": f"{K0:g}",
-                "best sigma by nmse: median (10 to 90 %)": f"{best:.2g} ({low:.2g} to {high:.2g})",
-                "by nmse_tail": f"{float(here['best_nmse_tail'].median()):.2g}",
-                "nmse at 0.01 over best: median (90 %)": f"{gain[0]:.3g} ({gain[1]:.3g})",
-                "converges at 0.01 / at the best": f"{paper:.0f} % / {ever:.0f} %",
-                "rule of thumb over best: nmse, median (90 %)": rule["over"],
-                f"rule within a factor of {FACTOR:g}": rule["found"],
-            }
-        )
-    return pd.DataFrame(rows)
-
-
-def _found(data: xr.Dataset) -> float:
-    """Share of the cells with a rule whose best sigma it meets within FACTOR."""
-    off = abs(np.log(data["rule"] / data["best_nmse"]))
-    return float((off <= np.log(FACTOR)).where(data["rule"].notnull()).mean())
-
-
 def rows(data: xr.Dataset) -> pd.DataFrame:
     """A row for each environment; `ruled`, whether the rule of thumb speaks of it."""
     table = data.to_dataframe().reset_index()
     return table.assign(ruled=table["rule"].notna(), largest=data.attrs["largest"])
+
+
+def lines(data: xr.Dataset) -> pd.DataFrame:
+    """A row for each stiffness: which sigma, and what it is worth; shares in percent."""
+    found = []
+    for K0, here in rows(data).groupby("K0"):
+        ruled = here[here["ruled"]]
+        # gain of the convergence time: inf where 0.01 never converges, NaN where nothing does
+        time = here["gain_convergence_time"]
+        line = {"K0": K0, "tail": here["best_nmse_tail"].median()}
+        line |= {f"best_{q}": here["best_nmse"].quantile(q / 100) for q in (10, 50, 90)}
+        line |= {f"gain_{q}": here["gain_nmse"].quantile(q / 100) for q in (50, 90)}
+        line |= {"paper": 100 * np.isfinite(time).mean(), "ever": 100 * time.notna().mean()}
+        loss = [f"{ruled['loss_nmse'].quantile(q):.3g}" for q in (0.5, 0.9)]
+        off = abs(np.log(ruled["rule"] / ruled["best_nmse"]))
+        line["rule"] = f"{loss[0]} ({loss[1]})" if len(ruled) else "none: r > 1"
+        line["near"] = f"{100 * (off <= np.log(FACTOR)).mean():.0f} %" if len(ruled) else ""
+        found.append(line)
+    return pd.DataFrame(found)

@@ -59,21 +59,19 @@ def fixed_tail(data: xr.Dataset) -> xr.DataArray:
     return ((tail / Td - 1.0) ** 2).mean("sample")
 
 
-def table(data: xr.Dataset) -> pd.DataFrame:
+def lines(data: xr.Dataset) -> pd.DataFrame:
     """A row for each run: the fixed step, then each solver."""
-    rows, fixed = [], fixed_tail(data)
+    found, fixed = [], fixed_tail(data)
     for case in data["case"].values:
-        row = {"study": str(case)}
-        row[f"nmse_tail at {1e3 * FIXED:g} ms"] = f"{float(fixed.sel(case=case)):.2g}"
+        line = {"case": case, "fixed": float(fixed.sel(case=case))}
         for solver in data["solver"].values:
             run = data.sel(case=case, solver=solver)
             t, T = (run[name].dropna("k").values for name in ("t", "tau_env"))
-            row[f"{solver}: nmse_tail"] = f"{float(run['tail']):.2g}"
-            row[f"{solver}: T at 10 s, N·m"] = f"{T[-1]:.3g}"
-            row[f"{solver}: steps"] = f"{len(t) - 1}"
-            row[f"{solver}: median step, s"] = f"{np.median(np.diff(t)):.2g}"
-        rows.append(row)
-    return pd.DataFrame(rows)
+            values = (float(run["tail"]), T[-1], len(t) - 1, np.median(np.diff(t)))
+            names = (f"{solver}_{name}" for name in ("tail", "last", "steps", "step"))
+            line |= dict(zip(names, values, strict=True))
+        found.append(line)
+    return pd.DataFrame(found)
 
 
 def rows(data: xr.Dataset) -> pd.DataFrame:
