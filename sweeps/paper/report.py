@@ -56,7 +56,8 @@ def make(
     A folder `docs` gets the Markdown page and its pictures once more. Raises SweepError where a
     folder or a store can't be used.
     """
-    writable(results)
+    for folder in (results, results / PICTURES, *([docs / "report"] if docs else [])):
+        writable(folder)
     names = dict.fromkeys(name for finding in findings for name in finding.STORES)
     paths = stores(results, names, running)
     judged = sections(claims, say)
@@ -67,7 +68,6 @@ def make(
         found.append(finding_section(finding, data[name]))
         say(f"measured {name.replace('_', ' ')}")
     folder, pictures = results / PICTURES, []
-    writable(folder)
     for stem in draw(folder, data):
         pictures.append(stem)
         say(f"drew {folder / stem}.png")
@@ -76,7 +76,6 @@ def make(
     write(pages[0], page(PICTURES))
     write(pages[1], page_html(page(PICTURES), results))
     if docs:
-        writable(docs / "report")
         for stem in {section.figure for section in (*judged, *found)}.intersection(pictures):
             shutil.copyfile(folder / f"{stem}.png", docs / "report" / f"{stem}.png")
         pages.append(docs / "report.md")
@@ -159,12 +158,7 @@ def writable(folder: Path) -> None:
 
 
 def write(path: Path, text: str) -> None:
-    """Write a page, whole or not at all. Raises SweepError if it can't be."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        raise SweepError(f"{path}: can't be written: {error.strerror}") from None
-    finally:
-        partial.unlink(missing_ok=True)
+    """Write a page, whole or not at all."""
+    partial = path.with_name(f".{path.name}.partial")
+    partial.write_text(text, encoding="utf-8")
+    partial.replace(path)
