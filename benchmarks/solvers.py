@@ -17,9 +17,10 @@ from benchmarks.scenarios import N_SAMPLES, PERIOD
 from fic_jax import QUANTITIES, Model, Params, init
 from fic_jax.controller import torque
 from fic_jax.environment import interaction_torque
+from fic_jax.events import enter
 from fic_jax.exploration import expected_reference, explore
-from fic_jax.integration import Motion, enter
 from fic_jax.metrics import reachable
+from fic_jax.rk4 import Motion
 from fic_jax.simulation import decide
 from tests.reference import events
 
@@ -76,7 +77,7 @@ def adaptive_with_events(model: Model, rtol: float) -> Scenario:
         def segment(carry: Any) -> Any:
             t, x, v, e_M, x_h, count = carry
             start = Motion(x, v, jnp.zeros_like(x))
-            attractor, side = enter(p, start, x_h, e_M, jnp.array(False), model, PERIOD)
+            attractor, side = enter(p, start, x_h, e_M, jnp.array(False), None, model, PERIOD)
             solution = diffrax.diffeqsolve(
                 term,
                 solver,
@@ -120,7 +121,7 @@ def _piece(t: Any, y: Any, args: Any) -> Any:
     """x' and v' on the piece of law and contact that `side` chooses."""
     p, x_h, attractor, side, model = args
     x, v = y
-    tau = torque(x_h - x, attractor, p, model, x_h - side.x)
+    tau = torque(x_h - x, attractor, p, x_h - side.x)
     return v, (tau - interaction_torque(x, v, p, model, (side.x, side.v))) / p.I
 
 
@@ -153,7 +154,7 @@ def _held(t: Any, y: Any, args: Any) -> Any:
     """x' and v', branch and e_M held."""
     p, x_h, attractor, model = args
     x, v = y
-    return v, (torque(x_h - x, attractor, p, model) - interaction_torque(x, v, p, model)) / p.I
+    return v, (torque(x_h - x, attractor, p) - interaction_torque(x, v, p, model)) / p.I
 
 
 def _square(p: Params, tau_env: jax.Array) -> jax.Array:

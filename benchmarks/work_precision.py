@@ -36,7 +36,7 @@ import fic_jax
 from benchmarks import solvers
 from benchmarks.scenarios import N_SAMPLES, PERIOD, Kind, kinds
 from fic_jax import QUANTITIES, Model, Params
-from fic_jax.engine import UNROLL
+from fic_jax.engine.sweeping import UNROLL
 from fic_jax.engine.xla import LANES
 from fic_jax.metrics import compiled_evaluate
 from figures.style import COLUMN_WIDTH, RC, SMALL_SIZE, save

@@ -2,16 +2,17 @@
 
 from fic_jax._version import __version__
 from fic_jax.accuracy import TRUST, evaluate_with_error, trusted
-from fic_jax.engine import sweep, tune_for_throughput
+from fic_jax.engine import histories, sweep, tune_for_throughput
 from fic_jax.metrics import METRICS, Metrics, evaluate
 from fic_jax.params import CHOICES, QUANTITIES, Model, Params, ParamsError
 from fic_jax.profile import energy, force
-from fic_jax.simulation import Memory, Sample, State, control, init, rollout, step
+from fic_jax.simulation import SIGNALS, Memory, Sample, State, control, init, rollout, step
 
 __all__ = [
     "CHOICES",
     "METRICS",
     "QUANTITIES",
+    "SIGNALS",
     "TRUST",
     "Memory",
     "Metrics",
@@ -26,6 +27,7 @@ __all__ = [
     "evaluate",
     "evaluate_with_error",
     "force",
+    "histories",
     "init",
     "rollout",
     "step",

@@ -1,25 +1,35 @@
-"""Algorithm 1: the fractal attractor, its memory and its torque."""
+"""Algorithm 1: the fractal attractor, its branch, its peak error and its torque."""
 
 from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
 
+from fic_jax.lanes.hints import where_rare
 from fic_jax.params import Model, Params, Scalar
-from fic_jax.profile import bend, energy, force
+from fic_jax.profile import energy, force
 
 REST_BAND = 0.01  # rad/s, below which `velocity_band` counts the joint as at rest
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Attractor:
-    """The attractor as one plant step sees it: fixed while the step integrates."""
+class Slopes:
+    """Slopes of the converging branch, and the peak error they belong to."""
 
-    diverging: jax.Array  # bool
-    e_M: jax.Array  # rad, signed peak error
-    energy_slope: jax.Array  # N*m/rad, 4 E_K(e_M)/e_M^2
-    effort_slope: jax.Array  # N*m/rad, 2 F_K(e_M)/e_M
+    inner: Scalar  # N*m/rad, where |e| <= x0
+    outer: Scalar  # N*m/rad, where |e| > x0
+    e_M: Scalar  # rad
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Attractor:
+    """The attractor as one plant step sees it: constant while the step integrates."""
+
+    diverging: Scalar  # bool
+    e_M: Scalar  # rad, signed peak error
+    slopes: Slopes  # of a converging branch
 
 
 def departs(e: Scalar, v: Scalar, model: Model) -> jax.Array:
@@ -38,61 +48,74 @@ def diverges(e: Scalar, v: Scalar, e_last: Scalar, model: Model) -> jax.Array:
     return jnp.abs(e) > e_last if model.divergence == "error_rate" else departs(e, v, model)
 
 
-def latch(
+def peak_error(e: Scalar, diverging: Scalar, e_M: Scalar, model: Model) -> jax.Array:
+    """The peak error e_M (rad) of a branch that begins at the error `e`.
+
+    While diverging e_M is e. While converging it stays (`latched`), or it also becomes e where e
+    is larger or has the other sign (`running`).
+    """
+    follows = diverging
+    if model.peak == "running":
+        follows = follows | (jnp.abs(e) > jnp.abs(e_M)) | (e * e_M < 0.0)
+    return jnp.where(follows, e, e_M)
+
+
+def converging_slopes(e_M: Scalar, p: Params, model: Model) -> Slopes:
+    """The slopes of the converging branch, N*m/rad, for the peak error `e_M` (`Model.law`).
+
+        algorithm1    4 E_K(e_M)/e_M^2 where |e| <= x0, 2 F_K(e_M)/e_M beyond
+        effort        2 F_K(e_M)/e_M throughout
+        energy        4 E_K(e_M)/e_M^2 throughout
+
+    In the linear zone, |e_M| <= x0, all are 2 K0, their limit.
+    """
+    linear = jnp.abs(e_M) <= p.x0
+    per_e_M = 1.0 / jnp.where(linear, p.x0, e_M)  # a safe divisor keeps 0/0 out of the gradient
+    by_energy = jnp.where(linear, 2.0 * p.K0, 4.0 * energy(e_M, p) * per_e_M**2)
+    by_effort = jnp.where(linear, 2.0 * p.K0, 2.0 * force(e_M, p) * per_e_M)
+    inner = by_effort if model.law == "effort" else by_energy
+    outer = by_energy if model.law == "energy" else by_effort
+    return Slopes(inner, outer, e_M)
+
+
+def begin_branch(
     e: Scalar,
     diverging: Scalar,
     e_M: Scalar,
     p: Params,
     model: Model,
-    relatched: Scalar | None = None,
+    known: Slopes | None = None,
 ) -> Attractor:
-    """The attractor of a branch that begins at the error `e` (Algorithm 1, first half).
+    """The attractor of a branch that begins at the error `e`; `e_M` is the peak error before it.
 
-    While diverging, or where `relatched`, e_M follows e; while converging it is held (`latched`),
-    or follows an error that is larger or of the other sign (`running`).
+    Slopes already `known` for the branch's e_M are not computed again; a diverging branch uses
+    none, and keeps those `known` for a later one.
     """
-    follow = diverging if relatched is None else diverging | relatched
-    if model.peak == "running":
-        follow = follow | (jnp.abs(e) > jnp.abs(e_M)) | (e * e_M < 0.0)
-    e_M = jnp.where(follow, e, e_M)
-    # In the linear zone both slopes are 2 K0, their limit at e_M = 0; a safe divisor keeps 0/0 out
-    # of the branch not taken, and out of its gradient.
-    linear = jnp.abs(e_M) <= p.x0
-    per_e_M = 1.0 / jnp.where(linear, p.x0, e_M)
-    energy_slope = jnp.where(linear, 2.0 * p.K0, 4.0 * energy(e_M, p) * per_e_M**2)
-    effort_slope = jnp.where(linear, 2.0 * p.K0, 2.0 * force(e_M, p) * per_e_M)
-    return Attractor(diverging, e_M, energy_slope, effort_slope)
+    e_M = peak_error(e, diverging, e_M, model)
+    if known is None:
+        return Attractor(diverging, e_M, converging_slopes(e_M, p, model))
+    outdated = ~diverging & (e_M != known.e_M)
+    slopes = where_rare(outdated, lambda: converging_slopes(e_M, p, model), known)
+    return Attractor(diverging, e_M, slopes)
 
 
-def left_behind(attractor: Attractor, e: Scalar) -> jax.Array:
-    """e_M (rad) after a motion under the attractor up to the error `e`."""
+def peak_error_after(attractor: Attractor, e: Scalar) -> jax.Array:
+    """e_M (rad) after a step that ends at the error `e`."""
     return jnp.where(attractor.diverging, e, attractor.e_M)
 
 
-def torque(
-    e: Scalar,
-    attractor: Attractor,
-    p: Params,
-    model: Model,
-    side: Scalar | None = None,
-) -> jax.Array:
-    """Torque towards the reference, N*m, limited to +-Fmax (Algorithm 1, second half).
+def torque(e: Scalar, attractor: Attractor, p: Params, side: Scalar | None = None) -> jax.Array:
+    """Torque towards the reference, N*m, limited to +-Fmax (Algorithm 1).
 
-    Diverging: F_K(e). Converging: slope * (e - e_M/2), with the slope 4 E_K(e_M)/e_M^2
-    where |e| <= x0 and 2 F_K(e_M)/e_M beyond (`algorithm1`), or one of them throughout.
-    `side`, an error, chooses between the pieces in place of e.
+        diverging     F_K(e)
+        converging    slope (e - e_M/2), with the inner slope where |e| <= x0, the outer beyond
+
+    `side`, an error, chooses the piece in place of `e`.
     """
-    side = e if side is None else side
-    near, far = jnp.abs(side) <= p.x0, jnp.abs(side) >= p.xb
-    within = attractor.effort_slope if model.law == "effort" else attractor.energy_slope
-    beyond = attractor.energy_slope if model.law == "energy" else attractor.effort_slope
-    # All but the bend between x0 and xb are straight lines: beyond xb, diverging, one so steep that
-    # the limit makes +-Fmax of it (where e, unlike `side`, is not within x0/2).
-    within = jnp.where(attractor.diverging, p.K0, within)
-    beyond = jnp.where(attractor.diverging, 2.0 * p.Fmax / p.x0, beyond)
-    centre = jnp.where(attractor.diverging, 0.0, 0.5 * attractor.e_M)
-    straight = jnp.where(near, within, beyond) * (e - centre)
-    tau = jnp.where(attractor.diverging & ~near & ~far, bend(e, p), straight)
+    slopes = attractor.slopes
+    inner = jnp.abs(e if side is None else side) <= p.x0
+    converging = jnp.where(inner, slopes.inner, slopes.outer) * (e - 0.5 * attractor.e_M)
+    tau = jnp.where(attractor.diverging, force(e, p, side), converging)
     # where, not clip: XLA's minimum and maximum look for NaN first, which costs twice as much
     tau = jnp.where(tau < -p.Fmax, -p.Fmax, tau)
     return jnp.where(tau > p.Fmax, p.Fmax, tau)

@@ -14,8 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from fic_jax.environment import in_contact
+from fic_jax.lanes.hints import where_rare
 from fic_jax.params import Model, Params, Scalar, check_count
-from fic_jax.simulation import Sample, checked, init, sampled
+from fic_jax.simulation import Sample, checked, constant, init, sampled
 
 SETTLING_BAND = 0.05  # of T_n: the torque has converged while it stays this close to it
 
@@ -59,10 +60,6 @@ class Sum:
         total = self.total + term
         return Sum(total, (total - self.total) - term)
 
-    def restarted(self, restart: Scalar) -> "Sum":
-        """Nothing, where `restart`."""
-        return Sum(jnp.where(restart, 0.0, self.total), jnp.where(restart, 0.0, self.excess))
-
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -99,28 +96,33 @@ def _count(total: Scalar, event: Scalar) -> jax.Array:
     return total + event.astype(jnp.int32)
 
 
+def begin_tail(acc: Accumulator) -> Accumulator:
+    """The accumulator where the second half begins: its sums start from zero."""
+    none = Sum(jnp.zeros_like(acc.square.total), jnp.zeros_like(acc.square.excess))
+    return dataclasses.replace(acc, square_head=acc.square.total, square=none, error=none)
+
+
 def update(
     acc: Accumulator, sample: Sample, k: Scalar, n_steps: int, p: Params, model: Model
 ) -> Accumulator:
     """Add sample k (counted from 0) of `n_steps`."""
+    acc = where_rare(k == n_steps // 2, lambda: begin_tail(acc), acc)
     per_T_n = 1.0 / reachable(p)
     eps = (sample.tau_env - p.Td) * per_T_n
     settled = jnp.abs(sample.tau_env * per_T_n - 1.0) <= SETTLING_BAND  # not, where NaN
-    tail_begins = k == n_steps // 2
     touching = in_contact(sample.x, p, model)
     touched = _count(acc.touched, touching)
     pulls = model.contact != "hard_stop"
-    switched = (sample.diverging != acc.diverging) & (k > 0)
     return Accumulator(
-        square_head=jnp.where(tail_begins, acc.square.total, acc.square_head),
-        square=acc.square.restarted(tail_begins).plus(eps**2),
-        error=acc.error.restarted(tail_begins).plus(eps),
+        square_head=acc.square_head,
+        square=acc.square.plus(eps**2),
+        error=acc.error.plus(eps),
         outside=jnp.where(settled, acc.outside, k + 1),
         highest=jnp.maximum(acc.highest, sample.tau_env),
         lowest=jnp.minimum(acc.lowest, sample.tau_env) if pulls else acc.lowest,
         before_touch=jnp.where(touched > 0, acc.before_touch, k + 1),
         touched=touched,
-        switches=_count(acc.switches, switched),
+        switches=_count(acc.switches, (sample.diverging != acc.diverging) & (k > 0)),
         diverging=sample.diverging,
         work=acc.work.plus(sample.work),
     )
@@ -187,9 +189,9 @@ def compiled_evaluate(
 
     def body(k: jax.Array, carry: Any) -> Any:
         state, acc = carry
-        state, sample = sampled(p, state, model, dt, substeps)
+        state, sample = sampled(p, state, model, dt / substeps, substeps)
         return state, update(acc, sample, k, n_steps, p, model)
 
-    start = (init(p, model), empty(p))
+    start = (constant(p, init(p, model)), empty(p))
     state, acc = jax.lax.fori_loop(np.int32(0), np.int32(n_steps), body, start, unroll=unroll)
     return finish(acc, state.x, state.v, n_steps, p, dt)

@@ -3,17 +3,11 @@
 import jax
 import jax.numpy as jnp
 
+from fic_jax.lanes.hints import where_rare
 from fic_jax.params import Params, Scalar
 
 
-def _decay(e_abs: Scalar, p: Params) -> jax.Array:
-    """exp(-(|e| - x0)/b), 1 below x0."""
-    # where, not minimum: at |e| = x0 that would pass on half the gradient only
-    short_of = jnp.where(e_abs < p.x0, 0.0, p.x0 - e_abs)
-    return jnp.exp(short_of * (p.S / (p.xb - p.x0)))
-
-
-def force(e: Scalar, p: Params) -> jax.Array:
+def force(e: Scalar, p: Params, side: Scalar | None = None) -> jax.Array:
     """Torque of the nonlinear spring, N*m, odd and continuous in the error `e` (rad).
 
         F_K = sgn(e) * { K0 |e|                                  |e| <= x0
@@ -21,18 +15,27 @@ def force(e: Scalar, p: Params) -> jax.Array:
                        { Fmax                                    xb <= |e|
 
     with dF = Fmax - K0 x0 and b = (xb - x0)/S (eq. 1). It is not limited to Fmax: where
-    K0 x0 > Fmax the profile overshoots between x0 and xb, and the controller clips its torque.
+    K0 x0 > Fmax the profile overshoots between x0 and xb, and the controller limits its torque.
+    `side`, an error, chooses the piece in place of `e`.
     """
-    e_abs = jnp.abs(e)
-    limit = jnp.where(e < 0.0, -p.Fmax, p.Fmax)
-    beyond = jnp.where(e_abs >= p.xb, limit, bend(e, p))  # written so that NaN stays NaN
-    return jnp.where(e_abs <= p.x0, p.K0 * e, beyond)
+    size = jnp.abs(e if side is None else side)
+    linear, saturated = size <= p.x0, size >= p.xb
+    straight = jnp.where(linear, p.K0 * e, jnp.where(e < 0.0, -p.Fmax, p.Fmax))
+    # neither, not between: a NaN is in no piece, and the bend keeps it
+    return where_rare(~linear & ~saturated, lambda: _bend(e, p), straight)
 
 
-def bend(e: Scalar, p: Params) -> jax.Array:
-    """`force` between x0 and xb, whichever piece e lies on."""
+def _bend(e: Scalar, p: Params) -> jax.Array:
+    """F_K between x0 and xb."""
     magnitude = p.Fmax - (p.Fmax - p.K0 * p.x0) * _decay(jnp.abs(e), p)
     return jnp.where(e < 0.0, -magnitude, magnitude)
+
+
+def _decay(e_abs: Scalar, p: Params) -> jax.Array:
+    """exp(-(|e| - x0)/b), 1 below x0."""
+    # where, not minimum: at |e| = x0 that would pass on half the gradient only
+    beyond_x0 = jnp.where(e_abs < p.x0, 0.0, p.x0 - e_abs)
+    return jnp.exp(beyond_x0 * (p.S / (p.xb - p.x0)))
 
 
 def energy(e: Scalar, p: Params) -> jax.Array:

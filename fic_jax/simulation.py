@@ -1,16 +1,26 @@
 """One plant step of one scenario, and a rollout of many: where time advances."""
 
-from dataclasses import dataclass, replace
+import dataclasses
+from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from fic_jax.controller import Attractor, diverges, latch, left_behind, torque
+from fic_jax.controller import (
+    Attractor,
+    Slopes,
+    begin_branch,
+    diverges,
+    peak_error_after,
+    torque,
+)
 from fic_jax.environment import interaction_torque
+from fic_jax.events import advance_located
 from fic_jax.exploration import expected_reference, explore
-from fic_jax.integration import Motion, advance, advance_located
 from fic_jax.params import Model, Params, Scalar, canonical, check, check_scalars, strong
+from fic_jax.rk4 import Motion, advance
 
 
 @jax.tree_util.register_dataclass
@@ -22,6 +32,9 @@ class Memory:
     e_M: Scalar  # rad, signed peak error (Algorithm 1)
     e_last: Scalar  # rad, |e| at the last decision (rk4_events: at the end of the last step)
     countdown: Scalar  # plant steps until Algorithm 2 ticks, int32
+    # Of the converging branch, where a loop with constant parameters carries them (`constant`);
+    # None: every step computes them from its own parameters.
+    slopes: Slopes | None = None
 
 
 @jax.tree_util.register_dataclass
@@ -36,21 +49,28 @@ class State:
     memory: Memory
 
 
+def _signal(unit: str, meaning: str) -> Any:
+    return field(metadata={"unit": unit, "meaning": meaning})
+
+
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Sample:
-    """What is measured at the end of plant step k, at time (k + 1) dt."""
+    """The signals at the end of plant step k, at time (k + 1) dt."""
 
-    t: Scalar  # s
-    x: Scalar  # rad
-    v: Scalar  # rad/s
-    x_h: Scalar  # rad, reference held in the step
-    e: Scalar  # rad, x_h - x
-    e_M: Scalar  # rad, peak error held in the step (rk4_events: at its end)
-    diverging: Scalar  # bool, branch held in the step (rk4_events: at its end)
-    torque: Scalar  # N*m, of the controller
-    tau_env: Scalar  # N*m, on the environment
-    work: Scalar  # J, done by the controller in the step
+    t: Scalar = _signal("s", "time")
+    x: Scalar = _signal("rad", "position")
+    v: Scalar = _signal("rad/s", "velocity")
+    x_h: Scalar = _signal("rad", "reference, constant in the step")
+    e: Scalar = _signal("rad", "error x_h - x")
+    e_M: Scalar = _signal("rad", "peak error in the step (rk4_events: at its end)")
+    diverging: Scalar = _signal("1", "branch in the step (rk4_events: at its end), 1 if diverging")
+    torque: Scalar = _signal("N*m", "torque of the controller")
+    tau_env: Scalar = _signal("N*m", "torque on the environment")
+    work: Scalar = _signal("J", "work done by the controller in the step")
+
+
+SIGNALS = {f.name: f.metadata for f in dataclasses.fields(Sample)}
 
 
 def init(params: Params, model: Model = Model()) -> State:
@@ -69,50 +89,69 @@ def init(params: Params, model: Model = Model()) -> State:
     return State(step_zero, p.x_init, p.v_init, measured, memory)
 
 
+def constant(p: Params, state: State) -> State:
+    """The state for a loop whose parameters do not change: slopes are computed once a branch."""
+    linear = 2.0 * p.K0  # for an e_M of 0
+    slopes = Slopes(linear, linear, jnp.zeros_like(p.x_init))
+    return replace(state, memory=replace(state.memory, slopes=slopes))
+
+
 def decide(
     p: Params, memory: Memory, x: Scalar, v: Scalar, measured: Scalar, model: Model, dt: Scalar
 ) -> tuple[Memory, Attractor]:
-    """Algorithm 2 if it ticks, then branch and peak error of Algorithm 1: what a step holds."""
+    """Algorithm 2 if it ticks, then branch and peak error of Algorithm 1: constant in a step."""
     x_h, countdown = explore(memory.x_h, memory.countdown, x, measured, p, dt)
     e = x_h - x
     diverging = diverges(e, v, memory.e_last, model)
-    attractor = latch(e, diverging, memory.e_M, p, model)
-    return Memory(x_h, attractor.e_M, jnp.abs(e), countdown), attractor
+    attractor = begin_branch(e, diverging, memory.e_M, p, model, memory.slopes)
+    return remembered(x_h, attractor.e_M, e, countdown, attractor, memory), attractor
 
 
-def advanced(p: Params, state: State, model: Model, dt: Scalar) -> tuple[Memory, Attractor, Motion]:
+def remembered(
+    x_h: Scalar, e_M: Scalar, e: Scalar, countdown: Scalar, attractor: Attractor, last: Memory
+) -> Memory:
+    """The memory after a decision at the error `e`, or after a step that ends at `e`."""
+    return Memory(
+        x_h, e_M, jnp.abs(e), countdown, attractor.slopes if last.slopes is not None else None
+    )
+
+
+def moved(p: Params, state: State, model: Model, dt: Scalar) -> tuple[Memory, Attractor, Motion]:
     """Explore, decide and move by one plant step, with the integrator of `model`."""
     start = Motion(state.x, state.v, jnp.zeros_like(state.x))
+    last = state.memory
     if model.integrator == "rk4":
-        memory, attractor = decide(p, state.memory, state.x, state.v, state.measured, model, dt)
+        memory, attractor = decide(p, last, state.x, state.v, state.measured, model, dt)
         return memory, attractor, advance(p, start, memory.x_h, attractor, model, dt)
-    old = state.memory
-    x_h, countdown = explore(old.x_h, old.countdown, state.x, state.measured, p, dt)
-    motion, attractor = advance_located(p, start, x_h, old.e_M, old.e_last, model, dt)
+    x_h, countdown = explore(last.x_h, last.countdown, state.x, state.measured, p, dt)
+    motion, attractor = advance_located(
+        p, start, x_h, last.e_M, last.e_last, last.slopes, model, dt
+    )
     e = x_h - motion.x
-    return Memory(x_h, left_behind(attractor, e), jnp.abs(e), countdown), attractor, motion
+    e_M = peak_error_after(attractor, e)
+    return remembered(x_h, e_M, e, countdown, attractor, last), attractor, motion
 
 
 def plant_step(p: Params, state: State, model: Model, dt: Scalar) -> tuple[State, Sample]:
     """Explore, decide, advance, measure. `p` and `dt` are canonical (see `step`)."""
-    memory, attractor, motion = advanced(p, state, model, dt)
+    memory, attractor, motion = moved(p, state, model, dt)
     x, v = motion.x, motion.v
     e = memory.x_h - x
-    tau = torque(e, attractor, p, model)
+    tau = torque(e, attractor, p)
     tau_env = interaction_torque(x, v, p, model)
     measured = tau_env if model.feedback == "interaction" else tau
     k = state.k + 1
     t = k.astype(dt.dtype) * dt
-    diverging = attractor.diverging
-    sample = Sample(t, x, v, memory.x_h, e, memory.e_M, diverging, tau, tau_env, motion.work)
+    sample = Sample(
+        t, x, v, memory.x_h, e, memory.e_M, attractor.diverging, tau, tau_env, motion.work
+    )
     return State(k, x, v, measured, memory), sample
 
 
 def sampled(
-    p: Params, state: State, model: Model, dt: Scalar, substeps: int
+    p: Params, state: State, model: Model, h: Scalar, substeps: int
 ) -> tuple[State, Sample]:
-    """`substeps` plant steps, together `dt` long, and the sample at the end of the last."""
-    h = dt / substeps
+    """`substeps` plant steps of `h` seconds, the sample of the last, and the work of all."""
 
     def one(state: State) -> tuple[State, Sample]:
         return plant_step(p, state, model, h)
@@ -184,7 +223,7 @@ def compiled_control(
 ) -> tuple[jax.Array, Memory]:
     """`control` on canonical numbers."""
     memory, attractor = decide(p, memory, x, v, measured, model, dt)
-    return torque(memory.x_h - x, attractor, p, model), memory
+    return torque(memory.x_h - x, attractor, p), memory
 
 
 def rollout(params: Params, *, model: Model = Model(), dt: Scalar, n_steps: int) -> Sample:
@@ -199,7 +238,8 @@ def rollout(params: Params, *, model: Model = Model(), dt: Scalar, n_steps: int)
 @partial(jax.jit, static_argnames=("model", "n_steps"))
 def compiled_rollout(p: Params, model: Model, dt: Scalar, n_steps: int) -> Sample:
     """`rollout` on canonical numbers."""
+    start = constant(p, init(p, model))
     _, samples = jax.lax.scan(
-        lambda state, _: plant_step(p, state, model, dt), init(p, model), length=n_steps
+        lambda state, _: plant_step(p, state, model, dt), start, length=n_steps
     )
     return samples

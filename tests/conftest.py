@@ -6,10 +6,8 @@ import shutil
 import tempfile
 
 import jax
-import pytest
 
 import fic_jax
-from fic_jax import engine
 from sweeps.cache import VARIABLE
 
 # Before the backend starts: what the engine wants, and two devices wherever the tests run.
@@ -24,15 +22,3 @@ if VARIABLE not in os.environ:
     os.environ[VARIABLE] = tempfile.mkdtemp(prefix="fic-sweep-")
     atexit.register(shutil.rmtree, os.environ[VARIABLE], ignore_errors=True)
 jax.config.update("jax_compilation_cache_dir", os.environ[VARIABLE])
-
-
-@pytest.fixture
-def arranged(monkeypatch):
-    """How the engine arranges scenarios here; programs of the test are forgotten afterwards."""
-
-    def arrange(arrangement):
-        monkeypatch.setitem(engine.ARRANGEMENT, "cpu", arrangement)
-        engine._compiled.cache_clear()
-
-    yield arrange
-    engine._compiled.cache_clear()

@@ -70,7 +70,7 @@ def _rates(t: Any, y: Any, held: Any) -> Any:
     """d/dt of position, velocity and work, with what the step holds."""
     p, x_h, attractor = held
     x, v, _ = y
-    tau = torque(x_h - x, attractor, p, MODEL)
+    tau = torque(x_h - x, attractor, p)
     return v, (tau - interaction_torque(x, v, p, MODEL)) / p.I, tau * v
 
 
@@ -88,7 +88,7 @@ def _evaluate(p: Params, dt: jax.Array, n_steps: int, solver: Any, term: Any) ->
         x, v, work = y
         tau_env = interaction_torque(x, v, p, MODEL)
         e = memory.x_h - x
-        tau = torque(e, attractor, p, MODEL)
+        tau = torque(e, attractor, p)
         sample = Sample(
             t + dt, x, v, memory.x_h, e, attractor.e_M, attractor.diverging, tau, tau_env, work
         )

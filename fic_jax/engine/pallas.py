@@ -1,7 +1,7 @@
-"""A run of many scenarios as one kernel of a GPU: nothing leaves the registers before its end.
+"""The backend `pallas`: many scenarios as one kernel of a GPU, with their state in registers.
 
 `lax.scan` launches several kernels a plant step there (jax#2491). Here the grid runs over blocks of
-scenarios, one a thread, and each block traces the function that the scan arrangement compiles too.
+scenarios, one a thread; each block traces the function that the backend `xla` compiles too.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ def in_one_kernel(
     """`run` over many blocks: columns [field, block, lane], dt, blocks -> leaves [block, lane].
 
     `run` takes a list of [lane] columns and dt to a pytree of [lane] arrays with the types of
-    `result`; what lies beyond the first `blocks` blocks is not computed. `interpret`: by XLA, on
+    `result`; blocks beyond the first `blocks` are not computed. `interpret`: by XLA, on
     any device.
     """
     leaves, tree = jax.tree.flatten(result)
@@ -31,16 +31,16 @@ def in_one_kernel(
 
         @pl.when(pl.program_id(0) < blocks[0])
         def _() -> None:
-            found = run([column[...] for column in columns], dt[0])
-            for out, leaf in zip(outs, jax.tree.leaves(found), strict=True):
+            results = run([column[...] for column in columns], dt[0])
+            for out, leaf in zip(outs, jax.tree.leaves(results), strict=True):
                 out[...] = leaf.astype(out.dtype)
 
     def launch(columns: jax.Array, dt: jax.Array, blocks: jax.Array) -> Any:
         n_fields, n_blocks, _ = columns.shape
         one, block = pl.BlockSpec((1,), lambda i: (0,)), pl.BlockSpec((lanes,), lambda i: (i,))
-        found = pl.pallas_call(
+        flat = pl.pallas_call(
             body,
-            out_shape=[jax.ShapeDtypeStruct((n_blocks * lanes,), _kept(leaf)) for leaf in leaves],
+            out_shape=[jax.ShapeDtypeStruct((n_blocks * lanes,), _stored(leaf)) for leaf in leaves],
             grid=(n_blocks,),
             in_specs=[one, one, *n_fields * [block]],
             out_specs=len(leaves) * [block],
@@ -49,13 +49,13 @@ def in_one_kernel(
             name="fic_sweep",
         )(dt[None], blocks[None], *columns.reshape(n_fields, -1))
         shaped = [
-            f.reshape(n_blocks, lanes).astype(t.dtype) for f, t in zip(found, leaves, strict=True)
+            f.reshape(n_blocks, lanes).astype(t.dtype) for f, t in zip(flat, leaves, strict=True)
         ]
         return jax.tree.unflatten(tree, shaped)
 
     return launch
 
 
-def _kept(leaf: Any) -> Any:
-    """The type a leaf is written in: Triton has no memory of single bits."""
+def _stored(leaf: Any) -> Any:
+    """The type of a leaf in memory: Triton stores no single bits."""
     return jnp.dtype(jnp.int8) if leaf.dtype == jnp.dtype(bool) else leaf.dtype

@@ -1,4 +1,4 @@
-"""Scenarios in blocks by XLA: one program of one fixed shape, run as often as N asks for.
+"""The backends `xla` and `pallas`: one program of one fixed block shape, run as often as N needs.
 
 XLA may round differently in programs of different shapes; one shape makes a scenario's bits
 independent of N, of its neighbours and of the chunking.
@@ -19,33 +19,36 @@ from jax.sharding import PartitionSpec as P
 # 64 to 256 were within 10 % of each other, 512 slower.
 LANES = 128
 # Blocks that one call holds for each device: some tenths of a second of work at 1,000 steps.
-BLOCKS = {"scan": 128, "kernel": 8192, "interpreted": 4}
+BLOCKS = {"xla": 128, "pallas": 8192, "interpreted": 4}
 
 
 @dataclass(frozen=True)
 class InBlocks:
-    """What computes the results of N scenarios, call after call."""
+    """The compiled program of one block shape, called as often as N needs."""
 
     run: Any  # columns, dt, blocks -> results
+    result: Any  # structure and types of one scenario's results
     sharding: NamedSharding  # of the columns
     n_devices: int
     blocks: int  # that a call holds for each device
 
-    def __call__(self, leaves: Sequence[np.ndarray], dt: np.ndarray, out: Any) -> None:
-        """Write to the arrays `out` the results of scenarios with quantities `leaves`, [N] each."""
+    def __call__(self, leaves: Sequence[np.ndarray], dt: np.ndarray) -> Any:
+        """Results with leaves [N] of scenarios with quantities `leaves`, [N] each."""
+        out = jax.tree.map(lambda leaf: np.empty(len(leaves[0]), leaf.dtype), self.result)
         n, capacity = len(leaves[0]), self.n_devices * self.blocks * LANES
         for start in range(0, n, capacity):
             part = slice(start, min(start + capacity, n))
             columns, blocks = self._pack([leaf[part] for leaf in leaves])
             computed = self.run(jax.device_put(columns, self.sharding), dt, blocks)
             for source, values in zip(jax.tree.leaves(computed), jax.tree.leaves(out), strict=True):
-                found = np.asarray(source)[:, :blocks].reshape(-1)
-                values[part] = found[: part.stop - part.start]
+                flat = np.asarray(source)[:, :blocks].reshape(-1)
+                values[part] = flat[: part.stop - part.start]
+        return out
 
     def _pack(self, leaves: Sequence[np.ndarray]) -> tuple[np.ndarray, np.int32]:
-        """[field, device, block, lane], and the blocks each device has to run.
+        """Columns [field, device, block, lane], and the number of blocks that each device runs.
 
-        Devices get equal shares; the lanes left over repeat the last scenario.
+        Devices get equal shares; lanes beyond N repeat the last scenario.
         """
         n = len(leaves[0])
         blocks = -(-n // (LANES * self.n_devices))
@@ -61,25 +64,24 @@ class InBlocks:
 
 
 def in_blocks(
-    arrangement: str,
+    backend: str,
     scenario: Callable[..., Any],
     n_columns: int,
     result: Any,
     dtype: np.dtype,
     devices: Sequence[jax.Device],
 ) -> InBlocks:
-    """One program for all devices that runs `scenario(column, dt)` for [device, block, lane]s.
+    """One program for all devices that runs `scenario(column, dt)` for [device, block, lane].
 
     The number of blocks is a value, not a shape: a ragged end runs the same code on fewer blocks.
+    `backend` is xla, pallas, or interpreted: Pallas' kernel without a GPU.
     """
-    if arrangement == "scan":
+    if backend == "xla":
         of_device = _one_after_another(jax.vmap(scenario, in_axes=(1, None)), result)
     else:
-        from fic_jax.engine.pallas import in_one_kernel  # Pallas takes a while to import
+        from fic_jax.engine.pallas import in_one_kernel  # Pallas imports slowly
 
-        of_device = in_one_kernel(
-            scenario, result, lanes=LANES, interpret=arrangement == "interpreted"
-        )
+        of_device = in_one_kernel(scenario, result, lanes=LANES, interpret=backend == "interpreted")
 
     def on_device(columns: jax.Array, dt: jax.Array, blocks: jax.Array) -> Any:
         return jax.tree.map(lambda o: o[None], of_device(columns[:, 0], dt, blocks))
@@ -95,20 +97,20 @@ def in_blocks(
             check_vma=False,
         )
     )
-    sharding, blocks = NamedSharding(mesh, spec), BLOCKS[arrangement]
-    if arrangement != "kernel":
-        return InBlocks(shares, sharding, len(devices), blocks)
+    sharding, blocks = NamedSharding(mesh, spec), BLOCKS[backend]
+    if backend != "pallas":
+        return InBlocks(shares, result, sharding, len(devices), blocks)
     shape = (n_columns, len(devices), blocks, LANES)
     columns = jax.ShapeDtypeStruct(shape, dtype, sharding=sharding)
     with warnings.catch_warnings():
         # jax 0.11 announces Triton's end; Mosaic, its successor, asks for a Hopper GPU
         warnings.filterwarnings("ignore", "The Pallas Triton backend", DeprecationWarning)
         run = shares.lower(columns, np.zeros((), dtype), np.int32(0)).compile()
-    return InBlocks(run, sharding, len(devices), blocks)
+    return InBlocks(run, result, sharding, len(devices), blocks)
 
 
 def _one_after_another(block: Any, result: Any) -> Any:
-    """Block after block, each with its whole time loop: what a CPU's first cache can hold."""
+    """Block after block, each with its whole time loop: a block fits into a CPU's L1 cache."""
 
     def of_device(columns: jax.Array, dt: jax.Array, blocks: jax.Array) -> Any:
         def body(i: jax.Array, out: Any) -> Any:

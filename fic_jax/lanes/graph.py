@@ -1,9 +1,10 @@
-"""The graph of a scenario's operations on scalars, with its loops and branches.
+"""The graph of a scalar function's operations, with its loops and branches.
 
-Equal operations are one, and an operation lies in the outermost loop its operands allow.
+Equal operations are one node (common-subexpression elimination). A node lies in the outermost loop
+that its operands allow (loop-invariant code motion).
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import count
 from typing import Any
@@ -13,17 +14,17 @@ import numpy as np
 ZERO = {"f": 0.0, "i": 0, "b": False}  # of each kind of number
 
 
-class Untranslatable(Exception):  # noqa: N818  another arrangement takes over; nobody erred
-    """What of a traced function there is no kernel for."""
+class Untranslatable(Exception):  # noqa: N818  no error of the caller's: XLA can do it
+    """The traced function uses something that the lane compiler has no instruction for."""
 
 
 @dataclass(eq=False)
 class Scope:
-    """Where nodes are computed, if not once for all: in the turns of a loop, or in a branch."""
+    """A loop or a branch: where nodes are computed, if not once for the whole function."""
 
     outer: "Scope | None"
     outs: "list[Node]" = field(default_factory=list)
-    captured: "dict[Node, None]" = field(default_factory=dict)  # what it needs from outside
+    captured: "dict[Node, None]" = field(default_factory=dict)  # nodes from outside that it uses
 
     @property
     def depth(self) -> int:
@@ -33,18 +34,18 @@ class Scope:
 
 @dataclass(eq=False)
 class Loop(Scope):
-    """Turns of known number: `outs` of one are `phis` of the next."""
+    """A loop of known length: the `outs` of an iteration are the `phis` of the next."""
 
     length: int = 1
     inits: "list[Node]" = field(default_factory=list)
     phis: "list[Node]" = field(default_factory=list)
 
     def entered_with(self) -> "list[Node]":
-        """What has to be there before the first turn."""
+        """The nodes that are computed before the loop."""
         return self.inits
 
     def makes(self, i: int) -> "tuple[Node, ...]":
-        """What phi and result i depend on."""
+        """The nodes that phi and result i depend on."""
         return self.outs[i], self.inits[i]
 
     def replace(self, instead: "dict[Node, Node]") -> None:
@@ -55,18 +56,17 @@ class Loop(Scope):
 
 @dataclass(eq=False)
 class Branch(Scope):
-    """Computed where any scenario of the vector meets the condition; `otherwise` stands in."""
+    """Computed if any lane meets the condition; if none does, the results are `otherwise`."""
 
     condition: "Node" = field(kw_only=True)
     otherwise: "list[Node]" = field(default_factory=list)
-    demand: Any = frozenset([frozenset()])  # the condition as branches.py writes it
 
     def entered_with(self) -> "list[Node]":
-        """What has to be there in any case."""
+        """The nodes that are computed before the branch."""
         return [self.condition, *self.otherwise]
 
     def makes(self, i: int) -> "tuple[Node, ...]":
-        """What result i depends on."""
+        """The nodes that result i depends on."""
         return self.outs[i], self.condition, self.otherwise[i]
 
     def replace(self, instead: "dict[Node, Node]") -> None:
@@ -81,22 +81,26 @@ class Node:
     """One operation on scalars."""
 
     id: int  # operands have smaller ones
-    op: str
+    op: str  # a primitive of JAX; or input, phi, result, constant, fma
     args: "tuple[Node, ...]"
     kind: str  # f, i or b: float, integer, bool
     scope: Scope | None  # where it is computed
-    uniform: bool  # the same for all scenarios
-    value: Any = None  # of a constant; the index of an input, phi or result; an exponent
+    uniform: bool  # the same for all lanes
+    value: Any = None  # of a constant; index of an input, phi or result; an exponent; a hint
     of: Any = None  # the loop or branch whose phi or result it is
 
+    def uses(self) -> "tuple[Node, ...]":
+        """The nodes it is made of: its operands; of a phi or result what leaves its scope."""
+        return self.of.makes(self.value) if self.of else self.args
+
     def before(self) -> "tuple[Node, ...]":
-        """What is computed before it: for a result, all that its loop or branch computes."""
+        """The nodes computed before it: for a result, all that its loop or branch computes."""
         if self.op != "result":
             return self.args
         return (*self.of.outs, *self.of.entered_with())
 
     def needs(self) -> "tuple[Node, ...]":
-        """What of its own scope, or of one around, is computed before it; known by `capture`."""
+        """The nodes of its scope, or around, that are computed before it (after `capture`)."""
         return tuple(self.of.captured) if self.op == "result" else self.args
 
     def __repr__(self) -> str:
@@ -110,12 +114,12 @@ def depth(scope: Scope | None) -> int:
 
 
 class Graph:
-    """Nodes, each built once."""
+    """Makes nodes: each operation on the same operands once."""
 
     def __init__(self, dtype: np.dtype) -> None:
         self.dtype = dtype
         self._known: dict[Any, Node] = {}
-        self._ids = count()
+        self.ids = count()
 
     def node(self, op: str, args: Sequence[Node], kind: str, value: Any = None) -> Node:
         """The node of an operation."""
@@ -123,19 +127,19 @@ class Graph:
         if key not in self._known:
             scope = max((a.scope for a in args), key=depth, default=None)
             uniform = all(a.uniform for a in args)
-            self._known[key] = Node(next(self._ids), op, tuple(args), kind, scope, uniform, value)
+            self._known[key] = Node(next(self.ids), op, tuple(args), kind, scope, uniform, value)
         return self._known[key]
 
     def known(self, op: str, args: Sequence[Node], kind: str, value: Any = None) -> Node | None:
-        """The node of an operation, if there is one."""
+        """The node of an operation, if it exists."""
         return self._known.get(self._key(op, args, kind, value))
 
     def _key(self, op: str, args: Sequence[Node], kind: str, value: Any) -> Any:
-        # a bool equals an integer, and -0.0 equals 0.0: told apart by their names
+        # by name: a bool equals an integer, and -0.0 equals 0.0
         return (op, *(a.id for a in args), kind, repr(value))
 
     def forget(self, nodes: Iterable[Node]) -> None:
-        """Never give these to anybody else, nor what depends on them."""
+        """Share these nodes, and those that depend on them, with no later operation."""
         gone = set(nodes)
         for node in sorted(self._known.values(), key=lambda node: node.id):
             if not gone.isdisjoint(node.args):
@@ -152,25 +156,25 @@ class Graph:
         scope: Scope | None = None,
         of: Scope | None = None,
     ) -> Node:
-        """An input of the whole, or a phi or result of the scope `of`."""
-        return Node(next(self._ids), op, (), kind, scope, uniform, value, of)
+        """An input of the function, or a phi or result of the scope `of`."""
+        return Node(next(self.ids), op, (), kind, scope, uniform, value, of)
 
     def constant(self, value: Any, kind: str = "f") -> Node:
-        """A number; one written in the program may be of any width."""
+        """A number."""
         if np.ndim(value):
             raise Untranslatable(f"an array of shape {np.shape(value)}")
         return self.node("constant", (), kind, np.asarray(value).item())
 
 
 def live(roots: Iterable[Node]) -> list[Node]:
-    """All nodes the roots depend on, also through turns of loops, in an order to compute them."""
+    """All nodes the roots depend on, also through iterations, in an order to compute them."""
     seen: set[Node] = set()
     stack = list(roots)
     while stack:
         node = stack.pop()
         if node not in seen:
             seen.add(node)
-            stack += (*node.args, *(node.of.makes(node.value) if node.of else ()))
+            stack += node.uses()
     return ordered(roots, lambda node: [n for n in node.before() if n in seen])
 
 
@@ -180,7 +184,7 @@ def loops(roots: Iterable[Node]) -> list[Loop]:
 
 
 def ordered(roots: Iterable[Node], before: Callable[[Node], Iterable[Node]]) -> list[Node]:
-    """The roots and all that comes before them, each after what comes before it."""
+    """The roots and all that comes before them, in topological order."""
     order: dict[Node, None] = {}
     entered: set[Node] = set()
     stack = list(roots)[::-1]
@@ -196,17 +200,39 @@ def ordered(roots: Iterable[Node], before: Callable[[Node], Iterable[Node]]) -> 
     return list(order)
 
 
-def capture(nodes: Iterable[Node]) -> None:
-    """Note in each loop and branch what the live `nodes` in it need from outside."""
+def users_of(nodes: Iterable[Node]) -> dict[Node, set[Node]]:
+    """The users of each of the live nodes, in operands or in what leaves a loop or branch."""
+    users: dict[Node, set[Node]] = {n: set() for n in nodes}
+    for node in nodes:
+        for used in node.uses():
+            users[used].add(node)
+    return users
 
-    def note(scope: Scope | None, needed: Node) -> None:
-        while scope is not needed.scope:
+
+def replace(nodes: Iterable[Node], instead: dict[Node, Node], but: Collection[Node] = ()) -> None:
+    """Have the live `nodes`, except `but`, and their loops and branches use other nodes."""
+    scopes: dict[Any, None] = {}
+    for node in nodes:
+        if node not in but and not instead.keys().isdisjoint(node.args):
+            node.args = tuple(instead.get(a, a) for a in node.args)
+        if node.of:
+            scopes[node.of] = None
+    for scope in scopes:
+        scope.replace(instead)
+
+
+def capture(nodes: Iterable[Node]) -> None:
+    """Note for each loop and branch the nodes from outside that the live `nodes` in it use."""
+
+    def note(scope: Scope | None, used: Node) -> None:
+        while scope is not used.scope:
             assert scope
-            scope.captured[needed] = None
+            scope.captured[used] = None
             scope = scope.outer
 
     for node in nodes:
         for arg in node.args:
             note(node.scope, arg)
-        for needed in node.of.makes(node.value) if node.of else ():
-            note(node.of, needed)
+        if node.of:
+            for used in node.of.makes(node.value):
+                note(node.of, used)

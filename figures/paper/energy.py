@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fic_jax import Model, Params, energy
-from fic_jax.controller import latch, torque
+from fic_jax.controller import begin_branch, torque
 from fic_jax.params import canonical
 from figures import style
 from figures.paper import look
@@ -42,10 +42,10 @@ def released(e_M: float | jax.Array, p: Params, model: Model, limited: bool) -> 
     One half of it speeds the joint up, the other, past e_M/2, brakes it. Each side of x0 has its
     own nodes, for Algorithm 1 jumps there.
     """
-    attractor = latch(e_M, jnp.zeros((), bool), e_M, p, model)
+    attractor = begin_branch(e_M, jnp.zeros((), bool), e_M, p, model)
     limits = p if limited else replace(p, Fmax=jnp.inf)
     middle = jnp.minimum(e_M, p.x0)
-    of = jax.vmap(lambda e, side: torque(e, attractor, limits, model, side))
+    of = jax.vmap(lambda e, side: torque(e, attractor, limits, side))
     inner = jnp.linspace(0.0, middle, NODES)
     outer = jnp.linspace(middle, e_M, NODES)
     below = jnp.abs(of(inner, jnp.zeros_like(inner)))

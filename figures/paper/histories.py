@@ -28,7 +28,7 @@ def simulate(picture: str, step: float) -> xr.Dataset:
     """Motions of a study over Td, the field of its lines, and time."""
     sweep, query, field = STUDIES[picture]
     rows = scenarios(sweep, period=[step]).query(query)
-    found = motions(rows, Model(), step)[["tau_env", "x"]].drop_vars(["Td", field], errors="ignore")
+    found = motions(rows, Model(), step)[["tau_env", "x"]].reset_coords(drop=True)
     index = pd.MultiIndex.from_frame(rows[["Td", field]])
     over = xr.Coordinates.from_pandas_multiindex(index, "scenario")
     return (

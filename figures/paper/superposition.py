@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from fic_jax import Model, Params
-from fic_jax.controller import latch, torque
+from fic_jax.controller import begin_branch, torque
 from fic_jax.params import Law, canonical
 from figures import style
 from figures.paper import look
@@ -53,12 +53,12 @@ def compute(law: Law, params: Params = look.PAPER, peaks: tuple[float, ...] = PE
 
         def branch(peak: float, diverging: bool) -> Branch:
             e = jnp.linspace(0.0, peak, NODES)
-            attractor = latch(peak, jnp.array(diverging), jnp.asarray(peak), p, model)
-            limited = jax.vmap(lambda e: torque(e, attractor, p, model))(e)
+            attractor = begin_branch(peak, jnp.array(diverging), jnp.asarray(peak), p, model)
+            limited = jax.vmap(lambda e: torque(e, attractor, p))(e)
             if diverging:
                 return Branch(np.asarray(e), np.asarray(limited), np.asarray(limited))
             free = replace(p, Fmax=jnp.inf)
-            asked = jax.vmap(lambda e: torque(e, attractor, free, model))
+            asked = jax.vmap(lambda e: torque(e, attractor, free))
             return Branch(np.asarray(e), np.asarray(limited), np.asarray(asked(e)))
 
         convergence = tuple(branch(peak, False) for peak in peaks)

@@ -15,7 +15,7 @@ import numpy as np
 
 import fic_jax
 from fic_jax import Model, Params
-from fic_jax.engine import ARRANGEMENT, cores
+from fic_jax.lanes import cores
 from sweeps.bench.plan import DT
 from sweeps.plan.grid import Grid
 from sweeps.spec.reading import load
@@ -25,7 +25,7 @@ TWINS = {"cpp": "cpp", "numba": "numba_twin", "diffrax": "diffrax_twin"}
 ENGINE: dict[str, dict[str, Any]] = {
     "engine": {},
     "one": {},  # on one device
-    "xla": {},  # as where LLVM can't be used
+    "xla": {"backend": "xla"},
     "float64": {},
     "events": {"model": Model(integrator="rk4_events")},
     "estimate": {"error_estimate": True},
@@ -39,8 +39,6 @@ class Missing(Exception):  # noqa: N818  what is missing is no error of the prog
 def configure(kind: str) -> None:
     """Set JAX up as a user of this arrangement would; before JAX starts."""
     jax.config.update("jax_enable_x64", kind == "float64")
-    if kind == "xla":
-        ARRANGEMENT["cpu"] = "scan"
     if kind in ENGINE:
         fic_jax.tune_for_throughput(1 if kind == "one" else None)
     else:

@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import fic_jax
-from fic_jax.engine import cores
+from fic_jax.lanes import cores
 from sweeps.cache import cpuinfo, extensions
 from sweeps.provenance import revision
 

@@ -16,8 +16,8 @@ from scipy.integrate import RK23, OdeSolver, Radau
 from fic_jax import Model, Params, init
 from fic_jax.controller import Attractor, torque
 from fic_jax.environment import interaction_torque
-from fic_jax.integration import net_torque
 from fic_jax.params import canonical
+from fic_jax.rk4 import net_torque
 from fic_jax.simulation import Memory, decide
 
 T_END = 10.0  # s
@@ -86,7 +86,7 @@ def _decided(
 
 @jax.jit
 def _slope(p: Params, x_h: jax.Array, attractor: Attractor, y: jax.Array) -> jax.Array:
-    tau = torque(x_h - y[0], attractor, p, MODEL)
+    tau = torque(x_h - y[0], attractor, p)
     return jnp.stack([y[1], net_torque(p, tau, y[0], y[1], MODEL) / p.I])
 
 

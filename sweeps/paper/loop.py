@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from fic_jax import Model, Params
-from fic_jax.controller import latch, torque
+from fic_jax.controller import begin_branch, converging_slopes, torque
 from fic_jax.environment import interaction_torque
 from fic_jax.exploration import expected_reference, explore
-from fic_jax.integration import net_torque
 from fic_jax.params import canonical
 from fic_jax.profile import force
+from fic_jax.rk4 import net_torque
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -78,15 +78,17 @@ def first_branch(p: Params) -> tuple[Floats, Floats, Floats]:
     e_M = Td/K0 + xd - x_init is the error the joint starts at; the slopes are 2 F_K(e_M)/e_M, of
     errors beyond x0, and 4 E_K(e_M)/e_M^2.
     """
-
-    def one(p: Params) -> tuple[jax.Array, ...]:
-        e_M = expected_reference(p) - p.x_init
-        first = latch(e_M, jnp.asarray(True), e_M, p, LINEAR)
-        return force(e_M, p) / p.Td, first.effort_slope, first.energy_slope
-
     with jax.enable_x64(True):
-        excess, effort, energy = jax.jit(jax.vmap(one))(_columns(p))
+        excess, effort, energy = _first_branch(_columns(p))
     return np.asarray(excess), np.asarray(effort), np.asarray(energy)
+
+
+@jax.jit
+@jax.vmap
+def _first_branch(p: Params) -> tuple[jax.Array, ...]:
+    e_M = expected_reference(p) - p.x_init
+    slopes = converging_slopes(e_M, p, Model(law="algorithm1"))
+    return force(e_M, p) / p.Td, slopes.outer, slopes.inner
 
 
 def _columns(p: Params) -> Params:
@@ -97,22 +99,25 @@ def _columns(p: Params) -> Params:
 
 def _linearised(p: Params, branch: str) -> Loop:
     with jax.enable_x64(True):
-        loops = jax.jit(jax.vmap(partial(_one, branch=branch)))(_columns(p))
-        return jax.tree.map(np.asarray, loops)
+        return jax.tree.map(np.asarray, _loops(_columns(p), branch))
+
+
+@partial(jax.jit, static_argnames="branch")
+def _loops(p: Params, branch: str) -> Loop:
+    return jax.vmap(partial(_one, branch=branch))(p)
 
 
 def _one(p: Params, branch: str) -> Loop:
     x_h = expected_reference(p)
     e_M = x_h - p.x_init if branch == "start" else _error_at_rest(p)
-    diverging = jnp.asarray(branch == "diverging")
-    attractor = latch(e_M, diverging, e_M, p, LINEAR)
+    attractor = begin_branch(e_M, jnp.asarray(branch == "diverging"), e_M, p, LINEAR)
     # Where the torque is short of Fmax: the converging branch is linear, any such error will do.
     e = e_M if branch == "diverging" else 0.75 * e_M
     at = jnp.stack([x_h - e, jnp.zeros_like(e), x_h])
 
     def motion(y: jax.Array) -> jax.Array:
         x, v, x_h = y
-        tau = torque(x_h - x, attractor, p, LINEAR)
+        tau = torque(x_h - x, attractor, p)
         return jnp.stack([v, net_torque(p, tau, x, v, LINEAR) / p.I, jnp.zeros_like(v)])
 
     def touch(y: jax.Array) -> jax.Array:

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from fic_jax import QUANTITIES, Model, Params, rollout, sweep
+from fic_jax import QUANTITIES, Model, Params, histories, sweep
 from sweeps.plan.grid import Grid
 from sweeps.spec.reading import load
 
@@ -124,12 +124,3 @@ def study_motions(name: str, reading: Reading) -> Iterator[xr.Dataset]:
 def grid(**axes: Any) -> pd.DataFrame:
     """One row for each combination of the axes' values, the last axis varying fastest."""
     return pd.MultiIndex.from_product(list(axes.values()), names=list(axes)).to_frame(index=False)
-
-
-def histories(batch: Params, *, model: Model, dt: float, n_steps: int) -> xr.Dataset:
-    """Until fic_jax has it."""
-    run = jax.jit(jax.vmap(lambda p: rollout(p, model=model, dt=dt, n_steps=n_steps)))
-    out = run(batch)
-    data = {n: (("scenario", "time"), np.asarray(getattr(out, n))) for n in ("x", "tau_env")}
-    swept = {n: ("scenario", np.asarray(leaf)) for n, leaf in vars(batch).items()}
-    return xr.Dataset(data, coords={"time": np.asarray(out.t[0]), **swept})

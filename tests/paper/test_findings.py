@@ -11,11 +11,11 @@ import pytest
 import xarray as xr
 
 from fic_jax import Model, Params, sweep
-from fic_jax.controller import latch
+from fic_jax.controller import begin_branch
 from fic_jax.environment import interaction_torque
 from fic_jax.exploration import explore
-from fic_jax.integration import Motion, advance
 from fic_jax.params import canonical
+from fic_jax.rk4 import Motion, advance
 from figures import findings
 from figures.findings import PLOTS
 from figures.findings.variable_step import SHOWN
@@ -53,7 +53,7 @@ def held(p: Params, dt: jax.Array, periods: int) -> jax.Array:
 
         def plant(_, motion):
             e = x_h - motion.x
-            return advance(p, motion, x_h, latch(e, yes, e, p, WELDED), WELDED, dt)
+            return advance(p, motion, x_h, begin_branch(e, yes, e, p, WELDED), WELDED, dt)
 
         return (jax.lax.fori_loop(0, steps, plant, motion), x_h), tau_env
 

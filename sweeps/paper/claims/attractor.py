@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from fic_jax import Model, Params, energy, force, rollout
-from fic_jax.controller import latch
+from fic_jax.controller import begin_branch
 from fic_jax.params import canonical
 from fic_jax.passivity import lyapunov, potential
 from sweeps.paper.scenarios import Reading, grid, params, table
@@ -55,7 +55,7 @@ def cycles(reading: Reading) -> pd.DataFrame:
 
 def _stored(e_M: jax.Array, p: Params, model: Model) -> jax.Array:
     """Energy that takes the diverging joint from e = 0 to e_M, J."""
-    return potential(e_M, latch(e_M, jnp.array(True), e_M, p, model), p, model)
+    return potential(e_M, begin_branch(e_M, jnp.array(True), e_M, p, model), p)
 
 
 def _followed(p: Params, dt: jax.Array, model: Model) -> tuple[np.ndarray, ...]:
@@ -65,7 +65,7 @@ def _followed(p: Params, dt: jax.Array, model: Model) -> tuple[np.ndarray, ...]:
         motion = rollout(p, model=model, dt=dt, n_steps=STEPS)
 
         def V(s: Any) -> jax.Array:
-            return lyapunov(s.e, s.v, latch(s.e, s.diverging, s.e_M, p, model), p, model)
+            return lyapunov(s.e, s.v, begin_branch(s.e, s.diverging, s.e_M, p, model), p)
 
         return jax.vmap(V)(motion), motion.e_M, motion.diverging
 
@@ -124,8 +124,8 @@ def _portrait(p: Params, e_M: jax.Array, model: Model) -> jax.Array:
     e = jnp.linspace(0.0, e_M, POINTS)
 
     def speeds(diverging: bool) -> jax.Array:
-        attractor = latch(e_M, jnp.array(diverging), e_M, p, model)
-        U = jax.vmap(lambda e: potential(e, attractor, p, model))(e)
+        attractor = begin_branch(e_M, jnp.array(diverging), e_M, p, model)
+        U = jax.vmap(lambda e: potential(e, attractor, p))(e)
         return jnp.sqrt(jnp.maximum(U[-1] - U, 0.0) / energy(e_M, p))
 
     return jnp.concatenate([speeds(True), speeds(False)])

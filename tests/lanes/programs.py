@@ -1,19 +1,21 @@
-"""Random programs of wheres, exponentials, latches and loops, for what is not our law."""
+"""Random programs of hints, exponentials, loop-carried values and loops."""
 
 import random
 
 import jax
 import jax.numpy as jnp
 
+from fic_jax.lanes import where_rare
+
 N_COLUMNS, N_RESULTS = 3, 4
 
 
 def program(seed):
-    """A function of columns and dt that is the same each time it is traced."""
+    """A function of N_COLUMNS columns and a constant, the same each time it is traced."""
 
-    def run(columns, dt):
+    def run(x, y, z, constant):
         chance = random.Random(seed)
-        values, conditions = [*columns, dt], [columns[0] > 0.0, columns[1] > columns[2]]
+        values, conditions = [x, y, z, constant], [x > 0.0, y > z]
         for _ in range(2):
             values += loop(chance, values, conditions, 1)
             grow(chance, values, conditions, 4, 1)
@@ -42,14 +44,32 @@ def grow(chance, values, conditions, size, depth):
             a, b = chance.choice(conditions), chance.choice(conditions)
             conditions.append(chance.choice([a & b, a | b, ~a]))
         elif kind < 0.95 or depth > 1:
-            taken = jnp.exp(one() * 0.5) if chance.random() < 0.5 else one()
-            values.append(jnp.where(chance.choice(conditions[-5:]), taken, one()))
+            rare(chance, values, conditions, one)
         else:
             values += loop(chance, values, conditions, depth + 1)
 
 
+def rare(chance, values, conditions, one):
+    """Add a where, or a hint: one result or two, sometimes with a hint inside it."""
+    condition, x, other = chance.choice(conditions[-5:]), one(), one()
+    kind, inner = chance.random(), chance.choice(conditions)
+    if kind < 0.25:
+        values.append(jnp.where(condition, jnp.exp(x * 0.5), other))
+    elif kind < 0.6:
+        values.append(where_rare(condition, lambda: jnp.exp(x * 0.5) + other, x))
+    elif kind < 0.8:
+        values += where_rare(condition, lambda: (jnp.exp(other), x * jnp.exp(x)), (x, other))
+    else:
+
+        def nested():
+            y = jnp.exp(-jnp.abs(x))
+            return where_rare(inner, lambda: jnp.exp(y) * other, y)
+
+        values.append(where_rare(condition, nested, other))
+
+
 def loop(chance, outer_values, outer_conditions, depth):
-    """The results of a loop with some latches."""
+    """The results of a loop that carries some values unchanged from iteration to iteration."""
     inits = tuple(chance.choice(outer_values) for _ in range(chance.randint(1, 4)))
     turns, size, end = chance.randint(1, 5), chance.randint(4, 20), []
     begin = chance.getstate()
@@ -60,9 +80,9 @@ def loop(chance, outer_values, outer_conditions, depth):
         outs = []
         for last in carry:
             conditions.append(chance.choice(values) > chance.choice(values))
-            latch = jnp.where(conditions[-1], chance.choice(values), last)
-            values += [latch, jnp.exp(-jnp.abs(latch)), last]
-            outs.append(latch)
+            carried = jnp.where(conditions[-1], chance.choice(values), last)
+            values += [carried, jnp.exp(-jnp.abs(carried)), last]
+            outs.append(carried)
         grow(chance, values, conditions, size, depth)
         free = [chance.random() < 0.5 for _ in outs]
         outs = [chance.choice(values) if f else o for f, o in zip(free, outs, strict=True)]

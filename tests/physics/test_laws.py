@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fic_jax import CHOICES, Model, Params, energy, force, rollout
-from fic_jax.controller import diverges, latch, torque
+from fic_jax.controller import begin_branch, diverges, torque
 from fic_jax.params import canonical
 from tests.streamed import streamed
 
@@ -69,7 +69,7 @@ def test_force_is_odd(p, e):
 @given(p=scenarios(), e=numbers(-2.0, 2.0), e_M=numbers(-2.0, 2.0), v=numbers(-3.0, 3.0))
 def test_torque_never_exceeds_the_saturation(name, p, e, e_M, v):
     model = Model(law=name)
-    tau = torque(e, latch(e, diverges(e, v, abs(e_M), model), e_M, p, model), p, model)
+    tau = torque(e, begin_branch(e, diverges(e, v, abs(e_M), model), e_M, p, model), p)
     assert abs(float(tau)) <= p.Fmax
 
 

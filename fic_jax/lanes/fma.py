@@ -1,32 +1,33 @@
-"""Where a product and a sum are rounded once."""
+"""FMA contraction: a product and the sum that uses it are rounded once."""
 
 from collections.abc import Iterable
 
 from fic_jax.lanes.graph import Graph, Node, live
 
 
-def fuse(graph: Graph, roots: Iterable[Node]) -> None:
-    """Make a product and the sum it is only used in one rounding, where the processor can.
+def contract(graph: Graph, roots: Iterable[Node]) -> None:
+    """Make a product and the only sum that uses it one fused multiply-add.
 
-    Told here, and not left to the compiler: whether it sees both would depend on the branches.
+    Decided here and not by LLVM, which sees only one block at a time: bits would depend on the
+    branches. Processors without the instruction multiply and add.
     """
     nodes = live(roots)
-    uses = dict.fromkeys(roots, 1)
-    steps: dict[Node, int] = {}  # operations that have to come before
+    n_uses = dict.fromkeys(roots, 1)
+    steps: dict[Node, int] = {}  # operations on a node's longest path
     for node in nodes:
         steps[node] = 1 + max((steps[a] for a in node.before() if a in steps), default=0)
-        for used in (*node.args, *(node.of.makes(node.value) if node.of else ())):
-            uses[used] = uses.get(used, 0) + 1
+        for used in node.uses():
+            n_uses[used] = n_uses.get(used, 0) + 1
     for node in nodes:
         if node.op not in ("add", "sub") or node.kind != "f":
             continue
         products = [
             (steps[a], i)
             for i, a in enumerate(node.args)
-            if uses[a] == 1 and a.scope is node.scope and _factors(a)
+            if n_uses[a] == 1 and a.scope is node.scope and _factors(a)
         ]
         if products:
-            _, i = max(products)  # the one that is there last
+            _, i = max(products)  # the one that is computed last
             signs = {"add": "+ +", "sub": ("+ -", "- +")[i]}[node.op]
             graph.forget([node])
             node.op, node.value = "fma", signs

@@ -1,7 +1,7 @@
-"""LLVM's words for one operation, on a scalar or on a vector of scenarios.
+"""LLVM instructions for one operation, on a scalar or on a vector of lanes.
 
-Conditions are integers of the numbers' width, all ones or zero: one bit a scenario, LLVM's own
-type, is packed and unpacked at every jump on processors without mask registers.
+A bool is a mask. With mask registers (AVX-512) it is one bit, LLVM's own type. Without them it is
+an integer of the floats' width, all ones or zero: bits would be packed and unpacked at every jump.
 """
 
 from collections.abc import Sequence
@@ -28,13 +28,13 @@ EXP_SINGLE = (1.98756915e-4, 1.3981999507e-3, 8.3334519073e-3, 4.1665795894e-2, 
 EXP_DOUBLE = tuple(float(1 / np.prod(np.arange(1.0, k + 1))) for k in range(13, 1, -1))
 
 
-class Operations:
-    """What a builder writes for operations on numbers of a type, in vectors of `lanes` or alone."""
+class Instructions:
+    """Writes operations on numbers of one width, in vectors of `lanes` or alone."""
 
-    def __init__(self, build: ir.IRBuilder, dtype: np.dtype, lanes: int) -> None:
+    def __init__(self, build: ir.IRBuilder, dtype: np.dtype, lanes: int, mask_bits: int) -> None:
         self.build, self.bits, self.lanes = build, 8 * dtype.itemsize, lanes
         self.real = ir.FloatType() if self.bits == 32 else ir.DoubleType()
-        self.int = ir.IntType(self.bits)
+        self.int, self.bool = ir.IntType(self.bits), ir.IntType(mask_bits)
 
     def vector(self, of: Any) -> Any:
         """The type of a vector."""
@@ -42,7 +42,7 @@ class Operations:
 
     def alike(self, kind: str, like: Any) -> Any:
         """The type of numbers of a kind, as many as `like` has."""
-        scalar = self.real if kind == "f" else self.int
+        scalar = {"f": self.real, "i": self.int, "b": self.bool}[kind]
         return self.vector(scalar) if isinstance(like, ir.VectorType) else scalar
 
     def constant(self, of: Any, number: Any) -> Any:
@@ -60,15 +60,21 @@ class Operations:
     # ---- Conditions, comparisons, functions ------------------------------------------------------
 
     def mask(self, condition: Any) -> Any:
-        """LLVM's condition as ours."""
-        return self.build.sext(condition, self.alike("b", condition.type))
+        """Bits as a mask."""
+        return self.widened(condition, self.alike("b", condition.type))
 
     def truth(self, mask: Any) -> Any:
-        """Our condition as LLVM's: its sign, which is what a blend reads."""
+        """A mask as bits: its sign, which a blend reads."""
+        if self.bool.width == 1:
+            return mask
         return self.build.icmp_signed("<", mask, self.constant(mask.type, 0))
 
-    def anywhere(self, mask: Any) -> Any:
-        """Whether any scenario meets our condition, as LLVM's of one bit."""
+    def widened(self, mask: Any, of: Any) -> Any:
+        """A mask, or bits, as integers of a type: all ones or zero."""
+        return mask if mask.type == of else self.build.sext(mask, of)
+
+    def any_lane(self, mask: Any) -> Any:
+        """Whether any lane meets a mask, as one bit."""
         truth = self.truth(mask)
         if not isinstance(mask.type, ir.VectorType):
             return truth
@@ -76,7 +82,7 @@ class Operations:
         return self.build.icmp_unsigned("!=", lanes, lanes.type(0))
 
     def compared(self, how: str, kind: str, x: Any, y: Any) -> Any:
-        """A comparison of numbers of a kind; none but `!=` holds of NaN."""
+        """A comparison as a mask; only `!=` is true of NaN."""
         build = self.build
         if kind == "f":
             compare = build.fcmp_unordered if how == "!=" else build.fcmp_ordered
@@ -85,41 +91,42 @@ class Operations:
         return self.mask(compare(how, x, y))
 
     def extreme(self, how: str, kind: str, x: Any, y: Any) -> Any:
-        """The one that compares so; NaN if one is; of two zeros the second, whatever its sign."""
+        """Maximum or minimum; NaN if one is NaN; of two zeros the second, whatever its sign."""
         one = self.build.select(self.truth(self.compared(how, kind, x, y)), x, y)
         if kind != "f":
             return one
-        unknown = self.build.fcmp_unordered("uno", x, x)  # it is y where that is NaN
+        unknown = self.build.fcmp_unordered("uno", x, x)  # the select gives y where y is NaN
         return self.build.select(unknown, x, one)
 
     def where(self, mask: Any, value: Any) -> Any:
-        """A value where the mask says so, all bits 0 elsewhere."""
-        bits = self.build.bitcast(value, mask.type)
-        return self.build.bitcast(self.build.and_(mask, bits), value.type)
+        """The value in the lanes of the mask, all bits 0 elsewhere."""
+        whole = self.alike("i", value.type)
+        bits = self.build.and_(self.widened(mask, whole), self.build.bitcast(value, whole))
+        return self.build.bitcast(bits, value.type)
 
     def intrinsic(self, name: str, *args: Any) -> Any:
-        """One of LLVM's functions of real numbers."""
+        """An LLVM intrinsic on floats."""
         return self.called(f"{name}.{self.many(args[0].type)}f{self.bits}", args[0].type, *args)
 
     def saturated(self, x: Any, of: Any) -> Any:
-        """Real numbers as whole ones: the nearest there is, 0 for NaN."""
+        """Floats as integers, saturating; 0 for NaN."""
         many = self.many(of)
         return self.called(f"fptosi.sat.{many}i{self.bits}.{many}f{self.bits}", of, x)
 
     def called(self, name: str, of: Any, *args: Any) -> Any:
-        """What a function of LLVM's gives, declared at its first use."""
+        """A call of an LLVM intrinsic, declared at its first use."""
         module, types = self.build.module, [a.type for a in args]
         known = module.globals.get(f"llvm.{name}")
         function = known or ir.Function(module, ir.FunctionType(of, types), f"llvm.{name}")
         return self.build.call(function, args)
 
     def many(self, of: Any) -> str:
-        """How the names of LLVM's functions begin a type."""
+        """The prefix of a type in an intrinsic's name."""
         return f"v{self.lanes}" if isinstance(of, ir.VectorType) else ""
 
-    # ---- Operations of the graph -----------------------------------------------------------------
+    # ---- Operations of the graph, `_name` writes `name` ------------------------------------------
 
-    def operation(self, node: Node, args: Sequence[Any]) -> Any:
+    def of(self, node: Node, args: Sequence[Any]) -> Any:
         """The value of a node from those of its operands."""
         if node.op == "constant":
             number = -int(node.value) if node.kind == "b" else node.value
@@ -139,12 +146,13 @@ class Operations:
         return method(node, *args)
 
     def _select_n(self, node: Node, condition: Any, no: Any, yes: Any) -> Any:
-        """A blend; with zero, one bit by bit is cheaper."""
+        """A blend; with zero, a bitwise and is cheaper."""
         _, if_not, if_so = node.args
-        if _no_bits(if_not):
-            return self.where(condition, yes)
-        if _no_bits(if_so):
-            return self.where(self.build.not_(condition), no)
+        if self.bool.width > 1 and node.kind != "b":
+            if _no_bits(if_not):
+                return self.where(condition, yes)
+            if _no_bits(if_so):
+                return self.where(self.build.not_(condition), no)
         return self.build.select(self.truth(condition), yes, no)
 
     def _fma(self, node: Node, x: Any, y: Any, z: Any) -> Any:
@@ -152,19 +160,11 @@ class Operations:
         x = self.build.fneg(x) if product == "-" else x
         return self.intrinsic("fmuladd", x, y, self.build.fneg(z) if rest == "-" else z)
 
-    def _copy(self, _: Node, x: Any) -> Any:
-        return x
-
-    def _differs(self, _: Node, x: Any, y: Any) -> Any:
-        """Bit by bit: a function of -0 may not be that of 0."""
-        x, y = (self.build.bitcast(a, self.alike("i", a.type)) for a in (x, y))
-        return self.mask(self.build.icmp_signed("!=", x, y))
-
     def _convert(self, node: Node, x: Any) -> Any:
         kinds = node.args[0].kind + node.kind
         of = self.alike(node.kind, x.type)
         if kinds[0] == "b":
-            one = self.build.neg(x)
+            one = self.build.neg(self.widened(x, self.alike("i", x.type)))
             return one if kinds == "bi" else self.build.sitofp(one, of)
         if kinds == "if":
             return self.build.sitofp(x, of)

@@ -10,21 +10,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fic_jax import CHOICES, Model, Params, energy
-from fic_jax.controller import latch, torque
+from fic_jax.controller import begin_branch, torque
 from fic_jax.params import canonical
 from fic_jax.passivity import lyapunov, potential, stored
-from tests.test_laws import numbers, scenarios
+from tests.physics.test_laws import numbers, scenarios
 
 law = settings(max_examples=100, deadline=None, derandomize=True)
 laws = pytest.mark.parametrize("model", [Model(law=name) for name in CHOICES["law"]], ids=str)
 
 
 def of_branch(function):
-    """`function(e, attractor, p, model)` of an attractor given by its branch and peak, jitted."""
+    """`function(e, attractor, p)` of an attractor given by its branch and peak, jitted."""
 
     @partial(jax.jit, static_argnames="model")
     def at(e, diverging, e_M, p, model):
-        return function(e, latch(e_M, diverging, e_M, p, model), p, model)
+        return function(e, begin_branch(e_M, diverging, e_M, p, model), p)
 
     return lambda e, diverging, e_M, p, model: at(
         jnp.float64(e), jnp.bool_(diverging), jnp.float64(e_M), canonical(p), model
@@ -33,7 +33,7 @@ def of_branch(function):
 
 torque_at, potential_at, stored_at = (of_branch(f) for f in (torque, potential, stored))
 slope_at = of_branch(jax.grad(potential))
-along = of_branch(jax.vmap(torque, in_axes=(0, None, None, None)))
+along = of_branch(jax.vmap(torque, in_axes=(0, None, None)))
 
 
 @laws
@@ -83,13 +83,13 @@ def test_a_convergence_of_the_linear_zone_ends_with_all_that_was_stored(p, share
 
 def test_v_adds_the_kinetic_energy():
     p = Params()
-    attractor = latch(0.05, True, 0.05, p, Model())
-    total = float(lyapunov(0.05, 2.0, attractor, p, Model()))
+    attractor = begin_branch(0.05, True, 0.05, p, Model())
+    total = float(lyapunov(0.05, 2.0, attractor, p))
     assert total == pytest.approx(0.5 * p.I * 2.0**2 + 0.5 * p.K0 * 0.05**2, rel=1e-12)
 
 
 def test_gradients_are_finite_everywhere():
-    slope = of_branch(jax.vmap(jax.grad(stored), in_axes=(0, None, None, None)))
+    slope = of_branch(jax.vmap(jax.grad(stored), in_axes=(0, None, None)))
     p = Params()
     for e_M in (0.0, p.x0, p.xb, 0.3):
         e = np.array([0.0, 0.5 * e_M, p.x0, p.xb, -0.3])

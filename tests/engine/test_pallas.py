@@ -1,7 +1,4 @@
-"""The GPU's arrangement where there is no GPU: its numbers interpreted, its code only lowered.
-
-What a GPU makes of that code is for a machine that has one.
-"""
+"""The backend `pallas` without a GPU: its numbers interpreted, its code lowered and not run."""
 
 import warnings
 from contextlib import nullcontext
@@ -11,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fic_jax import Model, Params, engine, sweep
+from fic_jax import Model, Params, sweep
+from fic_jax.engine import sweeping
 from fic_jax.engine.pallas import in_one_kernel
 from fic_jax.engine.xla import LANES
 from fic_jax.params import QUANTITIES
@@ -36,13 +34,13 @@ MODELS = [
 @pytest.mark.parametrize(
     ("model", "dtype"), list(zip(MODELS, (np.float32, np.float64, np.float32), strict=True))
 )
-def test_the_kernel_gives_the_bits_of_the_scan(arranged, model, dtype):
+def test_the_kernel_gives_the_bits_of_xla(model, dtype):
     batch = Params(**{name: values.astype(dtype) for name, values in BATCH.items()})
-    found = []
-    for arrangement in ("scan", "interpreted"):
-        arranged(arrangement)
-        found.append(sweep(batch, model=model, dt=0.01, n_steps=30))
-    for scanned, kernel in zip(*map(jax.tree.leaves, found), strict=True):
+    results = [
+        sweep(batch, model=model, dt=0.01, n_steps=30, backend=backend)
+        for backend in ("xla", "pallas")
+    ]
+    for scanned, kernel in zip(*map(jax.tree.leaves, results), strict=True):
         assert scanned.dtype == kernel.dtype
         np.testing.assert_array_equal(scanned, kernel)
 
@@ -52,8 +50,8 @@ def test_the_kernel_gives_the_bits_of_the_scan(arranged, model, dtype):
 def test_the_whole_run_is_one_triton_call(model, dtype):
     """Lowered for a GPU without one; with its estimate, two time loops in one kernel."""
     launch = in_one_kernel(
-        engine._scenario(model, 1000, True, unroll=1),
-        engine._result(model, True, np.dtype(dtype)),
+        sweeping.scenario(model, 1000, True),
+        sweeping.result_types(model, True, np.dtype(dtype)),
         lanes=LANES,
         interpret=False,
     )
@@ -79,27 +77,29 @@ def _a_gpu():
     return jax.sharding.use_abstract_mesh(AbstractMesh((), (), abstract_device=device))
 
 
-def test_where_the_kernel_cannot_be_built_the_scan_runs_and_one_warning_says_so(arranged):
-    batch = Params(K0=np.float32([10.0, 100.0]))
-    arranged("scan")
-    expected = sweep(batch, dt=0.01, n_steps=20)
-    arranged("kernel")  # on a CPU Pallas only interprets
-    with warnings.catch_warnings(record=True) as told:
+def test_where_the_kernel_cannot_be_built_xla_runs_and_one_warning_says_so(monkeypatch):
+    batch, run = Params(K0=np.float32([10.0, 100.0])), {"dt": 0.01, "n_steps": 20}
+    expected = sweep(batch, backend="xla", **run)
+    monkeypatch.setattr(sweeping, "fastest", lambda platform: "pallas")
+    monkeypatch.setattr("fic_jax.engine.pallas.in_one_kernel", lambda *_, **__: 1 / 0)
+    sweeping._program.cache_clear()
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        found = [sweep(batch, dt=0.01, n_steps=20) for _ in range(2)]
-    assert [str(w.message)[:13] for w in told] == ["no GPU kernel"]
-    assert "cpu (ValueError: Only interpret mode" in str(told[0].message)
-    for metrics in found:
+        results = [sweep(batch, **run) for _ in range(2)]
+    sweeping._program.cache_clear()
+    assert [str(w.message)[:13] for w in caught] == ["no GPU kernel"]
+    assert "cpu (ZeroDivisionError" in str(caught[0].message)
+    for metrics in results:
         np.testing.assert_array_equal(metrics.nmse, expected.nmse)
 
 
-def test_only_the_blocks_asked_for_are_computed():
+def test_only_the_given_number_of_blocks_is_computed():
     launch = in_one_kernel(
         lambda columns, dt: columns[0] + dt,
         jax.ShapeDtypeStruct((), np.float32),
         lanes=LANES,
         interpret=True,
     )
-    found = launch(jnp.ones((1, 3, LANES), np.float32), jnp.float32(0.5), jnp.int32(2))
-    np.testing.assert_array_equal(found[:2], 1.5)
-    assert not np.any(found[2] == 1.5)
+    results = launch(jnp.ones((1, 3, LANES), np.float32), jnp.float32(0.5), jnp.int32(2))
+    np.testing.assert_array_equal(results[:2], 1.5)
+    assert not np.any(results[2] == 1.5)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fic_jax import Model, Params, energy, force, rollout
-from fic_jax.controller import departs, latch, torque
+from fic_jax.controller import begin_branch, departs, torque
 
 TRUE = np.bool_(True)
 
@@ -123,11 +123,13 @@ def test_profile_is_continuous_at_x0_and_xb(sign):
 def test_torque_is_continuous_at_the_switch(law, peak):
     """At e = e_M the converging torque is F_K(e_M) ("perfectly superimposed", Fig. 2b)."""
     p, model = Params(), Model(law=law)
-    moving_away = latch(peak, departs(peak, 0.0, model), 0.0, p, model)
-    coming_back = latch(peak, departs(peak, np.sign(peak) * 1e-9, model), moving_away.e_M, p, model)
+    moving_away = begin_branch(peak, departs(peak, 0.0, model), 0.0, p, model)
+    coming_back = begin_branch(
+        peak, departs(peak, np.sign(peak) * 1e-9, model), moving_away.e_M, p, model
+    )
     assert bool(moving_away.diverging)
     assert not bool(coming_back.diverging)
-    there, back = (float(torque(peak, a, p, model)) for a in (moving_away, coming_back))
+    there, back = (float(torque(peak, a, p)) for a in (moving_away, coming_back))
     assert there == pytest.approx(back, rel=1e-14)
     assert there == pytest.approx(float(force(peak, p)), rel=1e-14)
 
@@ -135,11 +137,11 @@ def test_torque_is_continuous_at_the_switch(law, peak):
 def test_the_older_law_jumps_at_the_switch():
     """`energy` beyond x0: the jump that Algorithm 1 was made to remove."""
     p, model = Params(), Model(law="energy")
-    away = latch(0.3, TRUE, 0.0, p, model)
-    back = latch(0.3, ~TRUE, away.e_M, p, model)
-    assert torque(0.3, away, p, model) == pytest.approx(15.0)
+    away = begin_branch(0.3, TRUE, 0.0, p, model)
+    back = begin_branch(0.3, ~TRUE, away.e_M, p, model)
+    assert torque(0.3, away, p) == pytest.approx(15.0)
     expected = float(2 * energy(0.3, p) / 0.3)  # above Fmax: the limit cuts it, unlike inside
-    assert torque(0.3, back, p, model) == pytest.approx(min(expected, 15.0))
-    deep = latch(0.12, TRUE, 0.0, p, model)
+    assert torque(0.3, back, p) == pytest.approx(min(expected, 15.0))
+    deep = begin_branch(0.12, TRUE, 0.0, p, model)
     inside = replace(deep, diverging=jnp.array(False))
-    assert torque(0.12, inside, p, model) == pytest.approx(float(2 * energy(0.12, p) / 0.12))
+    assert torque(0.12, inside, p) == pytest.approx(float(2 * energy(0.12, p) / 0.12))

@@ -1,0 +1,217 @@
+"""`sweep`: N scenarios through the backend that suits the device."""
+
+import importlib.util
+import warnings
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal, get_args, overload
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from fic_jax.accuracy import difference, estimated
+from fic_jax.engine.tuning import threads
+from fic_jax.engine.xla import in_blocks
+from fic_jax.lanes import Untranslatable, lane_map
+from fic_jax.lanes.sources import digest
+from fic_jax.metrics import Metrics, blank, compiled_evaluate
+from fic_jax.params import QUANTITIES, Model, Params, ParamsError, check
+
+Backend = Literal["auto", "lanes", "xla", "pallas"]
+# Samples in one iteration of XLA's time loop: two are 1.2 times faster than one, more only take
+# longer to compile; a located step is long enough by itself.
+UNROLL = {"rk4": 2, "rk4_events": 1}
+
+# What a user loses where "auto" can't take the fast backend.
+SLOWER = {
+    "lanes": "the lane compiler is not available {where}: XLA compiles the sweep instead, expect "
+    "two fifths of the speed; `pip install llvmlite` if it is missing",
+    "pallas": "no GPU kernel {where}: XLA launches several kernels for each plant step instead, "
+    "expect a small part of the speed",
+}
+
+# [N] quantities in the order of QUANTITIES, dt -> results with leaves [N]
+Program = Callable[[Sequence[np.ndarray], np.ndarray], Any]
+
+
+@overload
+def sweep(
+    batch: Params,
+    *,
+    model: Model = ...,
+    dt: float,
+    n_steps: int,
+    error_estimate: Literal[False] = ...,
+    backend: Backend = ...,
+) -> Metrics: ...
+
+
+@overload
+def sweep(
+    batch: Params,
+    *,
+    model: Model = ...,
+    dt: float,
+    n_steps: int,
+    error_estimate: Literal[True],
+    backend: Backend = ...,
+) -> tuple[Metrics, Metrics]: ...
+
+
+def sweep(
+    batch: Params,
+    *,
+    model: Model = Model(),
+    dt: float,
+    n_steps: int,
+    error_estimate: bool = False,
+    backend: Backend = "auto",
+) -> Metrics | tuple[Metrics, Metrics]:
+    """Evaluate N scenarios: Params with [N] leaves (scalars broadcast) to Metrics of [N] arrays.
+
+    All cores of a CPU (`tune_for_throughput` may choose fewer) or all local GPUs share the work.
+    A scenario's result depends neither on N nor on its neighbours nor on the sharing, bit for bit.
+    The dtype follows the leaves. With `error_estimate` also the estimated error of every metric
+    (`evaluate_with_error`), at several times the cost.
+
+    backend: `auto`, the fastest here, or one of
+        `lanes` this package's compiler for the vector registers of a CPU (needs llvmlite)
+        `xla` XLA, on any device
+        `pallas` one kernel on a GPU; elsewhere interpreted, slowly
+
+    Raises ParamsError if a value is out of bounds or the leaves' shapes differ.
+    """
+    if backend not in get_args(Backend):
+        raise ParamsError("backend", repr(backend), "one of " + ", ".join(get_args(Backend)))
+    dtype = np.dtype(jnp.result_type(float, *jax.tree.leaves(batch)))
+    with np.errstate(over="ignore", under="ignore"):  # checked as the inf or zero it becomes
+        leaves = [np.asarray(getattr(batch, name), dtype) for name in QUANTITIES]
+    n = length(leaves)
+    check(Params(*leaves), dt, n_steps)
+    devices = tuple(jax.local_devices())
+    program = _program(backend, model, n_steps, error_estimate, dtype, devices)
+    columns = [np.broadcast_to(leaf.reshape(-1), n) for leaf in leaves]
+    return program(columns, np.asarray(dt, dtype))
+
+
+def length(leaves: Sequence[np.ndarray]) -> int:
+    """N of leaves that are scalars or [N], in the order of QUANTITIES. Raises ParamsError."""
+    lengths = {leaf.shape for leaf in leaves if leaf.shape not in ((), (1,))} or {(1,)}
+    if len(lengths) > 1 or len(min(lengths)) > 1:
+        shapes = {k: leaf.shape for k, leaf in zip(QUANTITIES, leaves, strict=True) if leaf.ndim}
+        raise ParamsError("batch", shapes, "scalars and [N] arrays of one length")
+    return min(lengths)[0]
+
+
+def arithmetic(backend: Backend = "auto") -> str:
+    """What decides a number's last bits here: the backend, and whether it fuses multiply-adds."""
+    if backend == "auto":
+        backend = fastest(jax.local_devices()[0].platform)
+        if backend == "lanes" and importlib.util.find_spec("llvmlite") is None:
+            backend = "xla"
+    if backend == "lanes":
+        from fic_jax.lanes.objects import fused
+
+        return f"lanes {'fused' if fused() else 'unfused'}"
+    # (1 + eps)(1 - eps) - 1 is -eps^2, or 0 if the product is rounded first
+    eps = np.float32(2.0**-12)
+    rest = jax.jit(lambda a, b, c: a * b + c)(1 + eps, 1 - eps, np.float32(-1.0))
+    return f"{backend} {'fused' if rest != 0 else 'unfused'}"
+
+
+def fastest(platform: str) -> Backend:
+    """The backend for a kind of device."""
+    return {"cpu": "lanes", "gpu": "pallas"}.get(platform, "xla")  # type: ignore[return-value]
+
+
+@lru_cache
+def _program(
+    backend: Backend,
+    model: Model,
+    n_steps: int,
+    error_estimate: bool,
+    dtype: np.dtype,
+    devices: tuple[jax.Device, ...],
+) -> Program:
+    """One program for these devices; with `auto` XLA's, and a warning, where the fastest fails."""
+    chosen = fastest(devices[0].platform) if backend == "auto" else backend
+    result = result_types(model, error_estimate, dtype)
+    if chosen == "lanes":
+        try:
+            return _by_lanes(model, n_steps, error_estimate, result, dtype, devices)
+        except (Untranslatable, ImportError) as error:
+            failure: Exception = error
+    else:
+        try:
+            return _by_jax(chosen, model, n_steps, error_estimate, result, dtype, devices)
+        except Exception as error:  # Pallas, Triton and the driver raise errors of any type
+            failure = error
+    if backend != "auto" or chosen == "xla":
+        raise failure
+    first_line = f"{type(failure).__name__}: {failure}".splitlines()[0][:200]
+    where = f"with jax {jax.__version__} on {devices[0].device_kind} ({first_line})"
+    warnings.warn(SLOWER[chosen].format(where=where), RuntimeWarning, stacklevel=3)
+    return _by_jax("xla", model, n_steps, error_estimate, result, dtype, devices)
+
+
+def _by_lanes(
+    model: Model,
+    n_steps: int,
+    error_estimate: bool,
+    result: Any,
+    dtype: np.dtype,
+    devices: Sequence[jax.Device],
+) -> Program:
+    """The lane compiler's program, compiled."""
+    sources = digest(Path(__file__).parent.parent)
+    key = sources and f"{sources} {model} {n_steps} {error_estimate}"
+    mapped = lane_map(
+        scenario(model, n_steps, error_estimate),
+        threads=threads(devices),
+        key=key,
+        result=result,
+    )
+    one = np.zeros(1, dtype)
+    mapped.prepare([one] * len(QUANTITIES), one[0])
+    return mapped
+
+
+def _by_jax(
+    backend: str,
+    model: Model,
+    n_steps: int,
+    error_estimate: bool,
+    result: Any,
+    dtype: np.dtype,
+    devices: Sequence[jax.Device],
+) -> Program:
+    """XLA's program or Pallas' kernel."""
+    unroll = UNROLL[model.integrator] if backend == "xla" else 1
+    one = scenario(model, n_steps, error_estimate, unroll)
+    if backend == "pallas" and devices[0].platform != "gpu":
+        backend = "interpreted"
+    return in_blocks(backend, one, len(QUANTITIES), result, dtype, devices)
+
+
+def scenario(model: Model, n_steps: int, error_estimate: bool, unroll: int = 1) -> Any:
+    """The function of one scenario, from its column of quantities and dt to its result."""
+    one = estimated if error_estimate else compiled_evaluate
+
+    def of_column(column: Sequence[jax.Array], dt: jax.Array) -> Any:
+        params = Params(**dict(zip(QUANTITIES, column, strict=True)))
+        return one(params, model, dt, n_steps, unroll=unroll)
+
+    return of_column
+
+
+def result_types(model: Model, error_estimate: bool, dtype: np.dtype) -> Any:
+    """The types of one scenario's result, without tracing its time loop."""
+
+    def blank_result(p: Params, dt: jax.Array) -> Any:
+        metrics = blank(p, dt)
+        return (metrics, difference(metrics, metrics, model)) if error_estimate else metrics
+
+    scalar = jax.ShapeDtypeStruct((), dtype)
+    return jax.eval_shape(blank_result, Params(**dict.fromkeys(QUANTITIES, scalar)), scalar)

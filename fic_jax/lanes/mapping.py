@@ -1,0 +1,151 @@
+"""The public function: signatures, columns in parts, threads."""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+if TYPE_CHECKING:
+    from fic_jax.lanes.kernel import Kernel
+
+PART = 4096  # lanes that a thread takes at a time: some hundredths of a second at 1,000 iterations
+
+
+def cores() -> int:
+    """Cores this process may use."""
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
+
+
+class LaneMap:
+    """What `lane_map` returns."""
+
+    def __init__(
+        self, function: Callable[..., Any], threads: int | None, key: str | None, result: Any
+    ) -> None:
+        self._function, self._key, self._result = function, key, result
+        self._threads = threads or cores()
+        self._compiled: dict[Any, tuple[Kernel, Any]] = {}
+
+    def __call__(self, *args: Any) -> Any:
+        """Results with leaves [N], for arguments with leaves [N] or scalar."""
+        leaves, tree, dtype = _arguments(args)
+        kernel, result = self._kernel(leaves, tree, dtype)
+        columns = [leaf for leaf in leaves if leaf.ndim]
+        uniforms = np.array([_as_bits(leaf, dtype) for leaf in leaves if not leaf.ndim], dtype)
+        n = len(columns[0]) if columns else 1
+        out = jax.tree.map(lambda t: np.empty(n, t.dtype), result)
+        size = min(PART, _whole(-(-max(n, 1) // self._threads), kernel.lanes))
+
+        def part(start: int) -> None:
+            stop = min(start + size, n)
+            given = np.empty((len(columns), _whole(stop - start, kernel.lanes)), dtype)
+            for row, column in zip(given, columns, strict=True):
+                row[: stop - start] = _as_bits(column[start:stop], dtype)
+                row[stop - start :] = row[stop - start - 1]
+            made = kernel(given, uniforms)[:, : stop - start]
+            for row, values in zip(made, jax.tree.leaves(out), strict=True):
+                whole = row if values.dtype.kind == "f" else row.view(f"i{dtype.itemsize}")
+                values[start:stop] = whole
+
+        pool = ThreadPoolExecutor(self._threads)
+        try:
+            for _ in pool.map(part, range(0, n, size)):
+                pass
+        finally:
+            pool.shutdown(cancel_futures=True)
+        return out if columns else jax.tree.map(lambda leaf: leaf[0], out)
+
+    def prepare(self, *args: Any) -> None:
+        """Compile for arguments like these, and run nothing."""
+        self._kernel(*_arguments(args))
+
+    def _kernel(
+        self, leaves: Sequence[np.ndarray], tree: Any, dtype: np.dtype
+    ) -> "tuple[Kernel, Any]":
+        """The kernel for arguments like these, and the types of its results."""
+        types = [jax.ShapeDtypeStruct((), leaf.dtype) for leaf in leaves]
+        uniform = [leaf.ndim == 0 for leaf in leaves]
+        signature = (tree, *(t.dtype for t in types), *uniform)
+        if signature not in self._compiled:
+            from fic_jax.lanes.kernel import Kernel  # llvmlite may be missing, and takes a while
+
+            def flat(*leaves: Any) -> Any:
+                return self._function(*jax.tree.unflatten(tree, leaves))
+
+            result = self._result
+            if result is None:
+                result = jax.eval_shape(flat, *types)
+            key = self._key and f"{self._key} {tree}"
+            n_results = len(jax.tree.leaves(result))
+            kernel = Kernel(flat, types, uniform, n_results, dtype, key)
+            self._compiled[signature] = kernel, result
+        return self._compiled[signature]
+
+
+def lane_map(
+    function: Callable[..., Any],
+    *,
+    threads: int | None = None,
+    key: str | None = None,
+    result: Any = None,
+) -> LaneMap:
+    """Map a function of scalars over columns, on this CPU's vector registers and cores.
+
+    What `jax.jit(jax.vmap(function))` computes, for functions that spend their time in a loop:
+
+        def oscillator(k, c):                 # scalars (or pytrees of them) in and out
+            def step(_, s):
+                x, v = s
+                return x + 0.01 * v, v - 0.01 * (k * x + c * v)
+            return jax.lax.fori_loop(0, 1000, step, (1.0 + 0.0 * k, 0.0 * k))
+
+        x, v = lane_map(oscillator)(np.linspace(1, 9, 10**6), 0.1)
+
+    Arguments are NumPy or JAX arrays [N], or scalars, which are the same for all N; results are
+    NumPy arrays [N]. All floats have one type, float32 or float64 (that of the arguments, as JAX
+    sees it). A lane's result depends on its own arguments alone, bit for bit: not on N, on the
+    neighbours, on `threads` (default: all cores) or on the width of the registers.
+
+    `key` names the function, in every version of its source, for the compile cache
+    (`jax_compilation_cache_dir`): code from the cache is neither traced nor compiled. `result`, the
+    structure and types of its results, saves tracing them too.
+
+    Raises Untranslatable where the function uses more than elementwise arithmetic, `exp`, `where`
+    and loops of fixed length; ImportError without llvmlite; ValueError for arguments of other
+    shapes.
+    """
+    return LaneMap(function, threads, key, result)
+
+
+def _arguments(args: Any) -> tuple[list[np.ndarray], Any, np.dtype]:
+    """Leaves as arrays with JAX's types, their structure, and the type of the floats."""
+    leaves, tree = jax.tree.flatten(args)
+    kinds = [jnp.result_type(leaf) for leaf in leaves]
+    floats = [leaf for leaf, kind in zip(leaves, kinds, strict=True) if kind.kind == "f"]
+    dtype = np.dtype(jnp.result_type(*floats)) if floats else np.dtype(jnp.result_type(float))
+    arrays = [
+        np.asarray(leaf, dtype if kind.kind == "f" else kind)
+        for leaf, kind in zip(leaves, kinds, strict=True)
+    ]
+    shapes = {a.shape for a in arrays if a.ndim}
+    if len(shapes) > 1 or any(len(shape) > 1 for shape in shapes):
+        raise ValueError(f"`lane_map` takes scalars and [N] arrays of one length, not {shapes}.")
+    return arrays, tree, dtype
+
+
+def _whole(n: int, lanes: int) -> int:
+    """Lanes of as many vectors as n need."""
+    return -(-n // lanes) * lanes
+
+
+def _as_bits(values: np.ndarray, dtype: np.dtype) -> np.ndarray:
+    """Floats as they are; integers and bools as bits of integers in the floats' width."""
+    if values.dtype.kind == "f":
+        return values
+    whole = values.astype(f"i{dtype.itemsize}")
+    return (-whole if values.dtype.kind == "b" else whole).view(dtype)
