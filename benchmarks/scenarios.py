@@ -1,4 +1,4 @@
-"""Seeded scenarios on which accuracy is measured: approach, contact and welded."""
+"""Seeded scenarios that measure accuracy: approach, contact and welded."""
 
 from dataclasses import dataclass
 
@@ -6,13 +6,13 @@ import numpy as np
 
 from fic_jax import Model, Params
 
-PERIOD = 0.01  # s, control period and distance of the samples
+PERIOD = 0.01  # s, control period and time between samples
 N_SAMPLES = 1000  # 10 s
 
 
 @dataclass(frozen=True)
 class Kind:
-    """Scenarios of one kind, `[N]` leaves, and the reading they are simulated with."""
+    """Scenarios of one kind, `[N]` leaves, and the model that simulates them."""
 
     name: str
     batch: Params
@@ -22,8 +22,8 @@ class Kind:
 def kinds(n: int, seed: int) -> list[Kind]:
     """`n` scenarios of each kind, every leaf float64 `[n]`.
 
-    Approach: from rest through a gap of 0.05 to 0.5 rad, expected within 1 % of where it is.
-    Contact: hard stop, starts in contact. Welded: the same without a stop.
+    Approach: from rest through a gap of 0.05 to 0.5 rad; the expected wall is within 1 % of it.
+    Contact: starts in contact with a hard stop. Welded: the same with a two-sided spring.
     """
     rng = np.random.default_rng(seed)
     gap = rng.uniform(0.05, 0.5, n)
@@ -37,7 +37,7 @@ def kinds(n: int, seed: int) -> list[Kind]:
 
 
 def _drawn(rng: np.random.Generator, n: int, wall: dict[str, np.ndarray]) -> Params:
-    """What all kinds draw alike, with the wall and the paper's values."""
+    """Draw what all kinds share; `wall` and the paper's values are the rest."""
 
     def log(low: float, high: float) -> np.ndarray:
         return np.exp(rng.uniform(np.log(low), np.log(high), n))

@@ -1,7 +1,7 @@
 """nmse of one scenario by other solvers: diffrax with constant and adaptive steps, scipy.
 
-Each is written as a user of that library would for a controller that is sampled every 10 ms:
-Algorithm 2 acts between solves and its reference is held inside them.
+Each is written as a user of that library would simulate a controller with a period of 10 ms:
+Algorithm 2 acts between two solves, and a solve holds its reference.
 """
 
 from collections.abc import Callable
@@ -25,12 +25,12 @@ from fic_jax.simulation import decide
 from tests.reference import events
 
 Scenario = Callable[[Params], jax.Array]
-MOST_STEPS = 4096  # of the solver within one period
-MOST_SEGMENTS = 20  # of smooth motion within one period
+MOST_STEPS = 4096  # of the solver in one period
+MOST_SEGMENTS = 20  # of smooth motion in one period
 
 
 def constant_steps(model: Model, substeps: int) -> Scenario:
-    """Tsit5 with `substeps` steps in a period; branch and e_M are decided before each step."""
+    """Tsit5 with `substeps` steps per period; Algorithm 1 sets branch and e_M before each step."""
     solver, term = diffrax.Tsit5(), diffrax.ODETerm(_held)
     h = jnp.asarray(PERIOD / substeps)
 
@@ -59,11 +59,12 @@ def constant_steps(model: Model, substeps: int) -> Scenario:
 
 
 def adaptive_with_events(model: Model, rtol: float) -> Scenario:
-    """Tsit5 with a PI controller, tolerance `rtol`; every solve ends at a tick or switch, an Event.
+    """Tsit5 with a PI step-size controller, tolerance `rtol`.
 
-    Without the events the branch would follow from the state, with e_M a third one: the motion
-    then slides along v = 0, where Algorithm 1 latches anew, and steps become tiny. XLA ends the
-    process on this program with the flags of `tune_for_throughput` (jaxlib 0.10.2).
+    A solve ends at the next control period or at a switch, which is an Event. Without events, the
+    branch would follow from the state, with e_M as a third state: the motion would slide along
+    v = 0, where Algorithm 1 sets a new e_M, and the steps would become tiny. With the flags of
+    `tune_for_throughput`, XLA ends the process on this program (jaxlib 0.10.2).
     """
     solver, term = diffrax.Tsit5(), diffrax.ODETerm(_piece)
     controller = diffrax.PIDController(rtol=rtol, atol=1e-3 * rtol, pcoeff=0.3, icoeff=0.4)
@@ -118,7 +119,7 @@ def adaptive_with_events(model: Model, rtol: float) -> Scenario:
 
 
 def _piece(t: Any, y: Any, args: Any) -> Any:
-    """x' and v' on the piece of law and contact that `side` chooses."""
+    """x' and v' on the smooth piece of law and contact that `side` lies in."""
     p, x_h, attractor, side, model = args
     x, v = y
     tau = torque(x_h - x, attractor, p, x_h - side.x)
@@ -126,7 +127,7 @@ def _piece(t: Any, y: Any, args: Any) -> Any:
 
 
 def _ahead(value: jax.Array, side: jax.Array) -> jax.Array:
-    """Distance to the switch at 0, positive on the side the motion starts on."""
+    """Distance to the switch at 0, positive on the side where the motion starts."""
     return jnp.where(side > 0.0, value, -value)
 
 
@@ -151,7 +152,7 @@ def _to_gap(t: Any, y: Any, args: Any, **_: Any) -> Any:
 
 
 def _held(t: Any, y: Any, args: Any) -> Any:
-    """x' and v', branch and e_M held."""
+    """x' and v' with constant branch and e_M."""
     p, x_h, attractor, model = args
     x, v = y
     return v, (torque(x_h - x, attractor, p) - interaction_torque(x, v, p, model)) / p.I
@@ -162,9 +163,9 @@ def _square(p: Params, tau_env: jax.Array) -> jax.Array:
 
 
 def located_by_scipy(p: Params, model: Model, rtol: float) -> float:
-    """scipy's DOP853 with every switch an event (tests/reference/events.py).
+    """scipy's DOP853; every switch is an event (tests/reference/events.py).
 
-    Raises Irregular where the limit of short steps does not exist.
+    Raises Irregular if short steps do not converge.
     """
     choices: dict[str, str] = {
         "law": model.law,

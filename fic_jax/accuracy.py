@@ -1,4 +1,4 @@
-"""How far a scenario's metrics are from what an ever shorter plant step would give."""
+"""Error estimates: how far metrics are from the limit of ever shorter plant steps."""
 
 from dataclasses import replace
 
@@ -10,8 +10,8 @@ from fic_jax.params import Model, Params, Scalar
 from fic_jax.simulation import checked
 
 TRUST = 0.01  # relative error of nmse up to which a scenario is trusted
-# A method of order 2 gains three quarters of its error when the step is halved. rk4 is of first
-# order and errs erratically; its companion is better by far and the difference is the error.
+# Halving the step removes three quarters of the error of a method of order 2. The error of rk4 is
+# of first order and erratic; its companion is far more accurate, so the difference is the error.
 _TO_LIMIT = {"rk4": 1.0, "rk4_events": 4.0 / 3.0}
 
 
@@ -20,9 +20,9 @@ def evaluate_with_error(
 ) -> tuple[Metrics, Metrics]:
     """`evaluate`, and the estimated absolute error of each metric.
 
-    The scenario also runs with plant steps of dt/2 and its switches located (`rk4_events`), with
-    the same samples; the difference tells the error. A metric that is infinite in both runs has
-    none; where one of the runs left the finite numbers all are NaN, and `finite` is false.
+    A companion run has plant steps of dt/2, located switches (`rk4_events`) and the same samples.
+    The difference between the two runs estimates the error. It is 0 where a metric is infinite in
+    both runs. Where a run leaves the finite numbers all errors are NaN and `finite` is false.
 
     Raises ParamsError if a concrete value is out of bounds.
     """
@@ -40,7 +40,7 @@ def estimated(
 
 
 def difference(metrics: Metrics, companion: Metrics, model: Model) -> Metrics:
-    """The error of each metric by the run that accompanied it."""
+    """The error of each metric, from its companion run."""
     finite, dtype = metrics.finite & companion.finite, metrics.nmse.dtype
 
     def error(a: jax.Array, b: jax.Array) -> jax.Array:
@@ -52,5 +52,5 @@ def difference(metrics: Metrics, companion: Metrics, model: Model) -> Metrics:
 
 
 def trusted(metrics: Metrics, errors: Metrics) -> Scalar:
-    """Whether nmse is known to 1 % of itself; never where a run left the finite numbers."""
+    """Whether the error of nmse is at most 1 % of nmse; false where a run was not finite."""
     return errors.nmse <= TRUST * metrics.nmse

@@ -1,4 +1,4 @@
-"""What the joint touches: welded spring-damper, hard stop, damped rebound."""
+"""The environment: welded spring-damper, hard stop, damped rebound."""
 
 import jax
 import jax.numpy as jnp
@@ -7,7 +7,7 @@ from fic_jax.params import Model, Params, Scalar
 
 
 def in_contact(x: Scalar, p: Params, model: Model) -> jax.Array:
-    """Whether the environment is touched at position x (rad); a welded one always is."""
+    """Whether the joint touches the environment at position x (rad); welded, it always does."""
     if model.contact == "welded":
         return jnp.ones_like(x, bool)
     return x >= p.gap
@@ -23,7 +23,7 @@ def interaction_torque(
         damped_rebound  0 while x < gap, else Kenv (x - gap) + Denv v
 
     The hard stop is Simscape's with undamped rebound: it never pulls. `side`, a position and a
-    velocity, says in place of x and v whether there is contact and which way the joint goes.
+    velocity, decides about contact and direction in place of x and v.
     """
     x_side, v_side = (x, v) if side is None else side
     rate = jnp.where(v_side > 0.0, v, 0.0) if model.contact == "hard_stop" else v

@@ -7,14 +7,14 @@ from fic_jax.params import Params, Scalar, steps_per_period
 
 
 def expected_reference(p: Params) -> Scalar:
-    """Reference that would give Td on a rigid wall where contact is expected: xd + Td/K0, rad."""
+    """The reference that gives Td on a rigid wall at the expected contact: xd + Td/K0, rad."""
     return p.xd + p.Td / p.K0
 
 
 def explore(
     x_h: Scalar, countdown: Scalar, x: Scalar, measured: Scalar, p: Params, dt: Scalar
 ) -> tuple[jax.Array, jax.Array]:
-    """Advance the exploring reference x_h (rad) and the countdown (plant steps) to its next tick.
+    """The exploring reference x_h (rad) of this plant step, and plant steps until the next tick.
 
     On a tick, with F = `measured` (N*m) and F != Td (Algorithm 2):
         x_h <- xd + Td/K0                              while |x| <= |xd|

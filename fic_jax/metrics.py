@@ -1,7 +1,7 @@
-"""Metrics streamed over a scenario's samples: no trajectory is kept.
+"""Metrics, streamed over the samples of a scenario: no trajectory is stored.
 
-T is the interaction torque tau_env, T_n = sgn(Td) min(|Td|, Fmax) the torque that can be
-reached, eps = (T - Td)/T_n. The tail is the second half of the run.
+T is the interaction torque tau_env, T_n = sgn(Td) min(|Td|, Fmax) the reachable torque, and
+eps = (T - Td)/T_n. The tail is the second half of the run.
 """
 
 import dataclasses
@@ -16,7 +16,7 @@ import numpy as np
 from fic_jax.environment import in_contact
 from fic_jax.lanes.hints import where_rare
 from fic_jax.params import Model, Params, Scalar, check_count
-from fic_jax.simulation import Sample, checked, constant, init, sampled
+from fic_jax.simulation import Sample, checked, init, sampled, with_slopes
 
 SETTLING_BAND = 0.05  # of T_n: the torque has converged while it stays this close to it
 
@@ -28,7 +28,7 @@ def _metric(unit: str, meaning: str) -> Any:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Metrics:
-    """What is kept of one scenario (scalars) or of N of them ([N] leaves)."""
+    """The results of one scenario (scalars) or of N ([N] leaves)."""
 
     nmse: Scalar = _metric("1", "normalised mean square torque error, whole run")
     nmse_tail: Scalar = _metric("1", "normalised mean square torque error, second half")
@@ -52,7 +52,7 @@ class Sum:
     """A compensated sum (Kahan 1965): float32 loses 1 % of an nmse over 10^6 plain additions."""
 
     total: Scalar
-    excess: Scalar  # what rounding has put into `total` too much
+    excess: Scalar  # the rounding error in `total`
 
     def plus(self, value: Scalar) -> "Sum":
         """The sum with one more term."""
@@ -64,14 +64,14 @@ class Sum:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Accumulator:
-    """Running sums of one scenario. Counts of samples are int32, so that times stay exact."""
+    """Running sums of one scenario. Times are counts of samples, int32: they stay exact."""
 
-    square_head: Scalar  # sum of eps^2 over the first half, once it is over
-    square: Sum  # of eps^2 over the half going on
-    error: Sum  # of eps over the half going on
+    square_head: Scalar  # sum of eps^2 over the first half, 0 before the second begins
+    square: Sum  # of eps^2, over the present half
+    error: Sum  # of eps, over the present half
     outside: Scalar  # samples up to and including the last one outside the settling band
     highest: Scalar  # N*m, largest T, at least 0
-    lowest: Scalar  # N*m, smallest T, at most 0; a hard stop never pulls, so it is not followed
+    lowest: Scalar  # N*m, smallest T, at most 0; always 0 at a hard stop, which never pulls
     before_touch: Scalar  # samples before the first one in contact
     touched: Scalar  # samples in contact
     switches: Scalar
@@ -80,7 +80,7 @@ class Accumulator:
 
 
 def reachable(p: Params) -> jax.Array:
-    """T_n = sgn(Td) min(|Td|, Fmax), N*m: the torque errors are normalised by."""
+    """The reachable torque T_n = sgn(Td) min(|Td|, Fmax), N*m; it normalises torque errors."""
     return jnp.sign(p.Td) * jnp.minimum(jnp.abs(p.Td), p.Fmax)
 
 
@@ -109,7 +109,7 @@ def update(
     acc = where_rare(k == n_steps // 2, lambda: begin_tail(acc), acc)
     per_T_n = 1.0 / reachable(p)
     eps = (sample.tau_env - p.Td) * per_T_n
-    settled = jnp.abs(sample.tau_env * per_T_n - 1.0) <= SETTLING_BAND  # not, where NaN
+    settled = jnp.abs(sample.tau_env * per_T_n - 1.0) <= SETTLING_BAND  # false for NaN
     touching = in_contact(sample.x, p, model)
     touched = _count(acc.touched, touching)
     pulls = model.contact != "hard_stop"
@@ -131,9 +131,9 @@ def update(
 def finish(
     acc: Accumulator, x: Scalar, v: Scalar, n_steps: int, p: Params, dt: jax.Array
 ) -> Metrics:
-    """Turn sums into metrics; sample k lies at (k + 1) dt, a time that never comes is inf.
+    """Metrics from the sums. Sample k lies at (k + 1) dt; an event that never happens is at inf.
 
-    `x`, `v` are those of the last sample: a motion that leaves the finite numbers never returns.
+    `x` and `v` are the last sample's: a motion that leaves the finite numbers never returns.
     """
 
     def seconds(samples: Scalar) -> jax.Array:
@@ -162,7 +162,7 @@ def finish(
 
 
 def blank(p: Params, dt: Scalar) -> Metrics:
-    """Metrics of no run at all, with the types of any."""
+    """Metrics of an empty run, for their types."""
     return finish(empty(p), p.x_init, p.v_init, 2, p, dt)
 
 
@@ -171,8 +171,8 @@ def evaluate(
 ) -> Metrics:
     """Metrics of one scenario over `n_steps` plant steps of `dt` seconds, streamed.
 
-    With `substeps` the plant steps are that many times shorter, but the samples stay where they
-    are, every `dt`: what changes is the error of the integration and nothing else.
+    With `substeps` the plant steps are that many times shorter. Samples stay every `dt`, so that
+    only the error of the integration changes.
 
     Raises ParamsError if a concrete value is out of bounds.
     """
@@ -185,13 +185,13 @@ def evaluate(
 def compiled_evaluate(
     p: Params, model: Model, dt: jax.Array, n_steps: int, substeps: int = 1, unroll: int = 1
 ) -> Metrics:
-    """`evaluate` on canonical numbers; `unroll` samples are compiled as one turn of the loop."""
+    """`evaluate` on canonical numbers; `unroll` samples are one iteration of the compiled loop."""
 
     def body(k: jax.Array, carry: Any) -> Any:
         state, acc = carry
         state, sample = sampled(p, state, model, dt / substeps, substeps)
         return state, update(acc, sample, k, n_steps, p, model)
 
-    start = (constant(p, init(p, model)), empty(p))
+    start = (with_slopes(p, init(p, model)), empty(p))
     state, acc = jax.lax.fori_loop(np.int32(0), np.int32(n_steps), body, start, unroll=unroll)
     return finish(acc, state.x, state.v, n_steps, p, dt)

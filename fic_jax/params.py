@@ -1,4 +1,4 @@
-"""What a scenario is made of: `Params`, numbers in a pytree, and `Model`, static choices."""
+"""The description of a scenario: `Params`, numbers in a pytree, and `Model`, static choices."""
 
 import dataclasses
 from dataclasses import dataclass, field
@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 
 MAX_TICKS = 2**31 - 1  # plant steps of a control period are counted in int32
-Scalar: TypeAlias = Any  # a float, a 0-d array or a tracer; physics is written for one scenario
+Scalar: TypeAlias = Any  # a float, a 0-d array or a tracer: the physics is for one scenario
 
 
 class ParamsError(ValueError):
-    """A value no scenario may have: `key`, its `value`, and what is `wanted` instead."""
+    """A wrong value: its `key`, the `value`, and what is `wanted` instead."""
 
     def __init__(self, key: str, value: object, wanted: str):
         super().__init__(f"`{key}` must be {wanted}, but is {value}.")
@@ -27,9 +27,9 @@ def _quantity(default: float, unit: str, meaning: str, bound: str = "finite") ->
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Params:
-    """The numbers of one scenario, or `[N]` leaves for N of them; defaults are the paper's.
+    """The numbers of one scenario, or of N with `[N]` leaves. Defaults are the paper's.
 
-    Every field may be swept. SI units, rotation about one axis (Sec. IV of the paper).
+    A sweep may vary every field. SI units, rotation about one axis (Sec. IV of the paper).
     """
 
     K0: Scalar = _quantity(100.0, "N*m/rad", "constant stiffness of the controller", "positive")
@@ -61,7 +61,7 @@ Integrator = Literal["rk4", "rk4_events"]
 
 @dataclass(frozen=True)
 class Model:
-    """The static choices: which reading of the paper is simulated. The first option is the default.
+    """The static choices: the reading of the paper. The first option of each is the default.
 
     law: slope of the converging branch, `algorithm1` as printed, `effort` 2F_K(e_M)/e_M
         throughout, `energy` 4E_K(e_M)/e_M^2 throughout.
@@ -82,7 +82,7 @@ class Model:
     contact: Contact = "hard_stop"
     integrator: Integrator = "rk4"
 
-    # Checked here, unlike Params: a Model is no pytree, so this runs once and never on tracers.
+    # Checked here, unlike Params: a Model is no pytree, so no tracer ever passes through.
     def __post_init__(self) -> None:
         for name, options in CHOICES.items():
             value = getattr(self, name)
@@ -112,20 +112,20 @@ _BOUNDS = {
 
 
 def canonical(params: Params) -> Params:
-    """Give every leaf one strong float dtype, so that float and array leaves trace alike.
+    """Give every leaf one strong float dtype, so that Python floats and arrays trace alike.
 
-    The dtype is the leaves' own (float32 by default, float64 with x64 on and float64 arrays
-    or Python floats); integers count as floats.
+    The dtype is that of the leaves: float32 by default, float64 with x64 on. Integers become
+    floats.
     """
     dtype = jnp.result_type(float, *jax.tree.leaves(params))
     return jax.tree.map(lambda leaf: strong(leaf, dtype), params)
 
 
 def strong(leaf: Scalar, dtype: Any) -> Scalar:
-    """A leaf as a strongly typed array: floats, NumPy and JAX scalars then share a compilation."""
+    """A leaf as a strongly typed array, so that all types of number share one compilation."""
     if isinstance(leaf, jax.Array):
         return jnp.asarray(leaf, dtype)
-    return np.asarray(leaf, dtype)  # a microsecond, where a transfer to the device takes twenty
+    return np.asarray(leaf, dtype)  # 1 us; a transfer to the device takes 20
 
 
 def steps_per_period(period: Scalar, dt: Scalar) -> jax.Array:
@@ -134,9 +134,9 @@ def steps_per_period(period: Scalar, dt: Scalar) -> jax.Array:
 
 
 def check_field(name: str, values: Any, dt: float | None = None) -> None:
-    """Raise ParamsError unless every value of one field is finite, in its bound and on the grid.
+    """Raise ParamsError unless every value of one field is finite and within its bound.
 
-    `period` must be a whole multiple of `dt` (to 1e-6, which forgives float32 decimals).
+    `period` must also be a whole multiple of `dt`, to 1e-6: 0.01 is not exact in float32.
     """
     a = np.atleast_1d(np.asarray(values, np.float64))
     bound = QUANTITIES[name]["bound"]
@@ -158,7 +158,7 @@ def check_field(name: str, values: Any, dt: float | None = None) -> None:
 
 
 def check_scalars(params: Params) -> None:
-    """Raise ParamsError unless every leaf is a scalar, as the functions of one scenario take."""
+    """Raise ParamsError unless every leaf is a scalar."""
     for name, leaf in vars(params).items():
         if np.ndim(leaf):
             wanted = "a scalar (sweep takes [N] leaves, vmap makes scalars of them)"
@@ -172,9 +172,9 @@ def check_count(name: str, value: Any) -> None:
 
 
 def check(params: Params, dt: float, n_steps: int = 1) -> None:
-    """Raise ParamsError for the first value no scenario may have; leaves may be `[N]` arrays.
+    """Raise ParamsError for the first wrong value; leaves may be `[N]` arrays.
 
-    Called once, at the boundary where numbers are still concrete; a tracer passes unchecked.
+    The public functions call it once, while numbers are concrete. Tracers pass unchecked.
     """
     check_count("n_steps", n_steps)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in [dt, *jax.tree.leaves(params)]):

@@ -32,7 +32,7 @@ class Memory:
     e_M: Scalar  # rad, signed peak error (Algorithm 1)
     e_last: Scalar  # rad, |e| at the last decision (rk4_events: at the end of the last step)
     countdown: Scalar  # plant steps until Algorithm 2 ticks, int32
-    # Of the converging branch, where a loop with constant parameters carries them (`constant`);
+    # Of the converging branch, where a loop with constant parameters carries them (`with_slopes`);
     # None: every step computes them from its own parameters.
     slopes: Slopes | None = None
 
@@ -89,9 +89,9 @@ def init(params: Params, model: Model = Model()) -> State:
     return State(step_zero, p.x_init, p.v_init, measured, memory)
 
 
-def constant(p: Params, state: State) -> State:
-    """The state for a loop whose parameters do not change: slopes are computed once a branch."""
-    linear = 2.0 * p.K0  # for an e_M of 0
+def with_slopes(p: Params, state: State) -> State:
+    """The state for a loop with constant parameters, which computes slopes once a branch."""
+    linear = 2.0 * p.K0  # for a peak error of 0
     slopes = Slopes(linear, linear, jnp.zeros_like(p.x_init))
     return replace(state, memory=replace(state.memory, slopes=slopes))
 
@@ -99,53 +99,64 @@ def constant(p: Params, state: State) -> State:
 def decide(
     p: Params, memory: Memory, x: Scalar, v: Scalar, measured: Scalar, model: Model, dt: Scalar
 ) -> tuple[Memory, Attractor]:
-    """Algorithm 2 if it ticks, then branch and peak error of Algorithm 1: constant in a step."""
+    """Explore (Algorithm 2), then choose branch and peak error (Algorithm 1) for this step."""
     x_h, countdown = explore(memory.x_h, memory.countdown, x, measured, p, dt)
     e = x_h - x
     diverging = diverges(e, v, memory.e_last, model)
     attractor = begin_branch(e, diverging, memory.e_M, p, model, memory.slopes)
-    return remembered(x_h, attractor.e_M, e, countdown, attractor, memory), attractor
+    return _remembered(memory, x_h, countdown, attractor.e_M, e, attractor), attractor
 
 
-def remembered(
-    x_h: Scalar, e_M: Scalar, e: Scalar, countdown: Scalar, attractor: Attractor, last: Memory
-) -> Memory:
-    """The memory after a decision at the error `e`, or after a step that ends at `e`."""
-    return Memory(
-        x_h, e_M, jnp.abs(e), countdown, attractor.slopes if last.slopes is not None else None
-    )
-
-
-def moved(p: Params, state: State, model: Model, dt: Scalar) -> tuple[Memory, Attractor, Motion]:
-    """Explore, decide and move by one plant step, with the integrator of `model`."""
-    start = Motion(state.x, state.v, jnp.zeros_like(state.x))
-    last = state.memory
-    if model.integrator == "rk4":
-        memory, attractor = decide(p, last, state.x, state.v, state.measured, model, dt)
-        return memory, attractor, advance(p, start, memory.x_h, attractor, model, dt)
-    x_h, countdown = explore(last.x_h, last.countdown, state.x, state.measured, p, dt)
+def _decide_and_advance_located(
+    p: Params, state: State, start: Motion, model: Model, dt: Scalar
+) -> tuple[Memory, Attractor, Motion]:
+    """The same with located switches: the branch is chosen anew at each switch in the step."""
+    memory = state.memory
+    x_h, countdown = explore(memory.x_h, memory.countdown, state.x, state.measured, p, dt)
     motion, attractor = advance_located(
-        p, start, x_h, last.e_M, last.e_last, last.slopes, model, dt
+        p, start, x_h, memory.e_M, memory.e_last, memory.slopes, model, dt
     )
     e = x_h - motion.x
     e_M = peak_error_after(attractor, e)
-    return remembered(x_h, e_M, e, countdown, attractor, last), attractor, motion
+    return _remembered(memory, x_h, countdown, e_M, e, attractor), attractor, motion
+
+
+def _remembered(
+    last: Memory, x_h: Scalar, countdown: Scalar, e_M: Scalar, e: Scalar, attractor: Attractor
+) -> Memory:
+    slopes = None if last.slopes is None else attractor.slopes
+    return Memory(x_h, e_M, jnp.abs(e), countdown, slopes)
+
+
+def _measure(
+    p: Params,
+    k: Scalar,
+    memory: Memory,
+    attractor: Attractor,
+    motion: Motion,
+    model: Model,
+    dt: Scalar,
+) -> tuple[State, Sample]:
+    """The state after plant step k (counted from 1), and its signals."""
+    x, v = motion.x, motion.v
+    e = memory.x_h - x
+    tau, tau_env = torque(e, attractor, p), interaction_torque(x, v, p, model)
+    measured = tau_env if model.feedback == "interaction" else tau
+    t = k.astype(dt.dtype) * dt
+    diverging = attractor.diverging
+    sample = Sample(t, x, v, memory.x_h, e, memory.e_M, diverging, tau, tau_env, motion.work)
+    return State(k, x, v, measured, memory), sample
 
 
 def plant_step(p: Params, state: State, model: Model, dt: Scalar) -> tuple[State, Sample]:
     """Explore, decide, advance, measure. `p` and `dt` are canonical (see `step`)."""
-    memory, attractor, motion = moved(p, state, model, dt)
-    x, v = motion.x, motion.v
-    e = memory.x_h - x
-    tau = torque(e, attractor, p)
-    tau_env = interaction_torque(x, v, p, model)
-    measured = tau_env if model.feedback == "interaction" else tau
-    k = state.k + 1
-    t = k.astype(dt.dtype) * dt
-    sample = Sample(
-        t, x, v, memory.x_h, e, memory.e_M, attractor.diverging, tau, tau_env, motion.work
-    )
-    return State(k, x, v, measured, memory), sample
+    start = Motion(state.x, state.v, jnp.zeros_like(state.x))
+    if model.integrator == "rk4":
+        memory, attractor = decide(p, state.memory, state.x, state.v, state.measured, model, dt)
+        motion = advance(p, start, memory.x_h, attractor, model, dt)
+    else:
+        memory, attractor, motion = _decide_and_advance_located(p, state, start, model, dt)
+    return _measure(p, state.k + 1, memory, attractor, motion, model, dt)
 
 
 def sampled(
@@ -176,7 +187,7 @@ def canonical_with(params: Params, dt: Scalar) -> tuple[Params, Scalar]:
 
 
 def checked(params: Params, dt: Scalar, n_steps: int) -> tuple[Params, Scalar]:
-    """`canonical_with`, of what one scenario may have. Raises ParamsError."""
+    """`canonical_with`, after checking the values of one scenario. Raises ParamsError."""
     check_scalars(params)
     check(params, dt, n_steps)
     return canonical_with(params, dt)
@@ -187,9 +198,10 @@ def step(
 ) -> tuple[State, Sample]:
     """Advance one scenario by one plant step of `dt` seconds.
 
-    Order: Algorithm 2 if it ticks, branch and e_M (Algorithm 1), RK4, measurement. Scalars in,
-    scalars out; composes with vmap, scan, grad and the caller's jit. Only a changed `model`
-    compiles again. Nothing is checked here: `period` has to be a whole multiple of `dt`.
+    In this order: explore (Algorithm 2, if it ticks), decide (Algorithm 1: branch and e_M), advance
+    (RK4), measure. Scalars in, scalars out; composes with vmap, scan, grad and the caller's jit.
+    Parameters may change from step to step. Only another `model` compiles again. Values are not
+    checked here: `period` has to be a whole multiple of `dt`.
     """
     p, dt = canonical_with(params, dt)
     return compiled_step(p, state, model, dt)
@@ -238,7 +250,7 @@ def rollout(params: Params, *, model: Model = Model(), dt: Scalar, n_steps: int)
 @partial(jax.jit, static_argnames=("model", "n_steps"))
 def compiled_rollout(p: Params, model: Model, dt: Scalar, n_steps: int) -> Sample:
     """`rollout` on canonical numbers."""
-    start = constant(p, init(p, model))
+    start = with_slopes(p, init(p, model))
     _, samples = jax.lax.scan(
         lambda state, _: plant_step(p, state, model, dt), start, length=n_steps
     )

@@ -1,4 +1,4 @@
-"""How fast the fastest motion of a scenario is: what a plant step has to resolve."""
+"""The fastest motion of a scenario, which a plant step has to resolve."""
 
 import numpy as np
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-PACKAGES = ("fic_jax", "sweeps", "figures")
+PACKAGES = ("fic_jax", "sweeps", "figures", "benchmarks")
 
 # module of the physics -> modules of fic_jax that it may import
 ARROWS = {
@@ -25,7 +25,18 @@ ARROWS = {
     "metrics": {"params", "environment", "simulation", "lanes.hints"},
     "accuracy": {"params", "metrics", "simulation"},
 }
-HEAVY = {"jax", "numpy", "scipy", "xarray", "zarr", "pandas", "pydantic", "matplotlib", "fic_jax"}
+HEAVY = {
+    "jax",
+    "numpy",
+    "scipy",
+    "xarray",
+    "zarr",
+    "pandas",
+    "pydantic",
+    "matplotlib",
+    "fic_jax",
+    "benchmarks",
+}
 
 
 def modules():
@@ -59,9 +70,13 @@ def test_imports_follow_the_arrows(name, path):
     elif package == "fic_jax":
         assert all(m.startswith("fic_jax") for m in ours)
     elif package == "sweeps":
-        # the command line puts the whole together; nothing else of sweeps may draw
-        allowed = ("fic_jax", "sweeps", *(("figures",) if name.startswith("sweeps.cli") else ()))
-        assert all(m.split(".")[0] in allowed for m in ours)
+        # Only the command line draws, and only it measures.
+        more = ("figures", "benchmarks") if name.startswith("sweeps.cli") else ()
+        assert all(m.split(".")[0] in ("fic_jax", "sweeps", *more) for m in ours)
+    elif package == "benchmarks":
+        # `python -m benchmarks` is `fic-sweep bench`; a timed process is `fic-sweep`.
+        starts = name in ("benchmarks.__main__", "benchmarks.fic_sweep")
+        assert starts or not any(m.startswith("sweeps.cli") for m in ours)
     else:
         # of sweeps a figure reads stores and the paper's scenarios
         allowed = ("figures", "fic_jax", "sweeps.store.opening", "sweeps.paper.scenarios")

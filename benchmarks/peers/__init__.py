@@ -1,4 +1,13 @@
-"""The default model as others would write it, each behind a `prepare` of the same face."""
+"""The default model as others would write it.
+
+Each peer has `prepare(batch, dt, n_steps, threads)`, which returns a run: called without arguments,
+it computes the metrics of the batch. `prepare` raises Missing where the peer can't run.
+
+cpp.py, twin.cpp               C++ by g++: AVX where the processor has it, threads
+numba_twin.py, numba_kernel.py numba, `prange` over scenarios
+diffrax_twin.py                a diffrax solver under a scan
+plain.py                       jit(vmap(...)) of the public `evaluate`
+"""
 
 from importlib import import_module
 from typing import Any
@@ -7,15 +16,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from benchmarks.child import Missing
 from fic_jax import QUANTITIES, Params
 
 
-class Missing(Exception):  # noqa: N818  what is missing is no error of the program
-    """Why a peer cannot run here, in one line."""
-
-
 def installed(module: str) -> Any:
-    """The module. Raises Missing if it cannot be imported."""
+    """Import a module. Raises Missing if it is not installed."""
     try:
         return import_module(module)
     except ImportError as error:
@@ -24,7 +30,7 @@ def installed(module: str) -> Any:
 
 
 def packed(batch: Params) -> np.ndarray:
-    """The batch as [field, N] in the dtype the engine would choose; scalars broadcast."""
+    """The batch as [field, N], scalars broadcast, in the dtype that the engine would choose."""
     dtype = np.dtype(jnp.result_type(float, *jax.tree.leaves(batch)))
     leaves = [np.atleast_1d(np.asarray(getattr(batch, name), dtype)) for name in QUANTITIES]
     return np.ascontiguousarray(np.stack(np.broadcast_arrays(*leaves)))

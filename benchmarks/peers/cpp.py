@@ -1,4 +1,4 @@
-"""The C++ twin: `twin.cpp`, built once for this machine and called through ctypes."""
+"""The C++ twin: `twin.cpp`, built once per machine and called through ctypes."""
 
 import ctypes
 import hashlib
@@ -12,12 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.peers import Missing, packed
+from benchmarks.child import Missing
+from benchmarks.peers import packed
 from fic_jax import Metrics, Params
 
 SOURCE = Path(__file__).with_name("twin.cpp")
-# None of these lets the compiler assume that NaN or infinity cannot occur, or reorder a sum: the
-# compensated sums and the metrics of a run that leaves the finite numbers have to survive.
+# No flag here lets the compiler reorder a sum or assume that NaN and infinity can't occur: both
+# would break the compensated sums and the metrics of a run that diverges.
 FLAGS = (
     "-O3",
     "-march=native",
@@ -25,11 +26,11 @@ FLAGS = (
     "-shared",
     "-fPIC",
     "-pthread",
-    "-ffp-contract=fast",  # fused multiply-add, as XLA uses it
+    "-ffp-contract=fast",  # FMA contraction, as in XLA
     "-fno-math-errno",
     "-fno-trapping-math",  # nobody reads the exception flags; comparisons may become blends
-    # Order of the instructions, together worth 7 %: the law is one long chain of dependent
-    # operations, and independent work has to stand between its links.
+    # The order of instructions, together worth 7 %: the law is one long chain of dependent
+    # operations, so independent work has to stand between them.
     "-fno-tree-ter",
     "-fschedule-insns",
     "-fsched-pressure",
@@ -70,7 +71,7 @@ def prepare(batch: Params, dt: float, n_steps: int, threads: int = 2) -> Callabl
 
 @lru_cache
 def _built() -> Path:
-    """The shared library, from the cache if source, flags and compiler are the same."""
+    """The shared library; it is built again if source, flags or compiler have changed."""
     compiler = shutil.which(os.environ.get("CXX", "g++"))
     if compiler is None:
         raise Missing("g++ was not found")
@@ -84,7 +85,7 @@ def _built() -> Path:
 
 
 def _build(compiler: str, target: Path) -> None:
-    """Compile beside the target and rename, so that nobody loads half a library."""
+    """Compile next to the target and rename, so that nobody loads half a library."""
     with tempfile.TemporaryDirectory(dir=target.parent) as folder:
         fresh = Path(folder) / target.name
         subprocess.run([compiler, *FLAGS, str(SOURCE), "-o", str(fresh)], check=True)
@@ -92,9 +93,9 @@ def _build(compiler: str, target: Path) -> None:
 
 
 def _output(command: list[str]) -> str:
-    """What a compiler says of itself. Raises Missing if it doesn't, as one that is not GCC."""
+    """What the compiler prints. Raises Missing if it refuses, as a compiler other than GCC does."""
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         last = (done.stderr.strip().splitlines() or ["no message"])[-1]
-        raise Missing(f"{Path(command[0]).name} is not the compiler the twin is for: {last}")
+        raise Missing(f"{Path(command[0]).name} is not GCC, which the twin needs: {last}")
     return done.stdout

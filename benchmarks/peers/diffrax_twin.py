@@ -1,8 +1,8 @@
 """The diffrax peer: a diffrax solver steps the plant under a scan, batched by vmap.
 
-The controller is a hybrid one: branch, e_M and x_h change between plant steps and are held inside
-them, so the solver's own `step` is driven, as a diffrax user does for a controlled plant. Classic
-RK4 is not among diffrax's solvers; its Butcher tableau makes it one.
+The controller changes its branch, e_M and x_h between plant steps and holds them during a step. The
+scan therefore calls the solver's own `step`, as a diffrax user does for a controlled plant. diffrax
+has no classic RK4; its Butcher tableau defines it.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ MODEL = Model()
 def prepare(batch: Params, dt: float, n_steps: int, threads: int = 2) -> Callable[[], Metrics]:
     """Compile the batched loop. Raises Missing without diffrax.
 
-    `threads` is not used: one CPU device runs one program, and XLA shares that out by itself.
+    `threads` is not used: XLA itself distributes the one program of a CPU device.
     """
     solver, term = _solver(), installed("diffrax").ODETerm(_rates)
     columns = packed(batch)
@@ -42,7 +42,7 @@ def prepare(batch: Params, dt: float, n_steps: int, threads: int = 2) -> Callabl
 
 @lru_cache
 def _solver() -> Any:
-    """Classic RK4 in diffrax's terms."""
+    """Classic RK4 as a diffrax solver."""
     diffrax = installed("diffrax")
     tableau = diffrax.ButcherTableau(
         c=np.array([0.5, 0.5, 1.0]),
@@ -56,7 +56,7 @@ def _solver() -> Any:
 
         tableau: ClassVar[Any]
         term_structure: ClassVar[Any] = diffrax.AbstractTerm
-        interpolation_cls: ClassVar[Any] = diffrax.LocalLinearInterpolation  # never asked for
+        interpolation_cls: ClassVar[Any] = diffrax.LocalLinearInterpolation  # not used
 
         def order(self, terms: Any) -> int:
             """Order of convergence."""
@@ -67,7 +67,7 @@ def _solver() -> Any:
 
 
 def _rates(t: Any, y: Any, held: Any) -> Any:
-    """d/dt of position, velocity and work, with what the step holds."""
+    """d/dt of position, velocity and work; the step holds the reference and the attractor."""
     p, x_h, attractor = held
     x, v, _ = y
     tau = torque(x_h - x, attractor, p)

@@ -1,4 +1,4 @@
-"""The numba peer: `prange` over scenarios, `numba_kernel.py` for each."""
+"""The numba peer: `prange` over scenarios; numba_kernel.py simulates each."""
 
 from collections.abc import Callable
 
@@ -10,7 +10,7 @@ from fic_jax import Metrics, Params
 
 
 def prepare(batch: Params, dt: float, n_steps: int, threads: int = 2) -> Callable[[], Metrics]:
-    """Compile the kernel and lay the batch out by scenario. Raises Missing without numba."""
+    """Compile the kernel and store the batch as [N, field]. Raises Missing without numba."""
     numba = installed("numba")
     from benchmarks.peers.numba_kernel import Numbers, run
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from fic_jax.engine.sweeping import length
 from fic_jax.params import QUANTITIES, Model, Params, ParamsError, check, check_count
-from fic_jax.simulation import SIGNALS, Sample, constant, init, sampled
+from fic_jax.simulation import SIGNALS, Sample, init, sampled, with_slopes
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -78,7 +78,7 @@ def _sampled(params: Params, model: Model, dt: jax.Array, n_samples: int, every:
         def some(state: Any, _: None) -> Any:
             return jax.lax.scan(sample, state, length=inner)
 
-        samples = jax.lax.scan(some, constant(p, init(p, model)), length=n_samples // inner)[1]
+        samples = jax.lax.scan(some, with_slopes(p, init(p, model)), length=n_samples // inner)[1]
         return jax.tree.map(lambda leaf: leaf.reshape(n_samples), samples)
 
     return jax.vmap(one)(params)

@@ -22,7 +22,7 @@ def cores() -> int:
 
 
 class LaneMap:
-    """What `lane_map` returns."""
+    """A function of scalars, mapped over columns (see `lane_map`)."""
 
     def __init__(
         self, function: Callable[..., Any], threads: int | None, key: str | None, result: Any

@@ -62,6 +62,7 @@ class BenchTable(StrEnum):
     scaling = "scaling"
     run = "run"
     first = "first"
+    commit = "commit"
 
 
 What = Annotated[str, typer.Argument(metavar="NAME|FILE", help="library name or TOML file")]
@@ -289,28 +290,28 @@ def bench(
     repeats: Annotated[int, typer.Option(min=1, help="rounds; fewer where a call is long")] = 5,
     only: Annotated[list[BenchTable] | None, typer.Option(help="this table; repeatable")] = None,
     full: Annotated[bool, typer.Option("--full", help="larger sweeps too, some minutes")] = False,
+    peers: Annotated[
+        bool, typer.Option("--peers", help="also C++, numba, diffrax and plain JAX")
+    ] = False,
     json: Annotated[bool, typer.Option("--json", help="for machines")] = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="for a README")] = False,
 ) -> None:
-    """Measure this machine: the engine, its peers, whole runs. Takes two or three minutes."""
+    """Measure this machine: the engine, its cost, whole runs. Takes two or three minutes."""
     if json and markdown:
         _refuse("--json and --markdown: one of them")
-    import json as encoder
+    from benchmarks.child import BenchError
+    from benchmarks.measure import measure
+    from benchmarks.plan import Plan
 
-    from sweeps.bench.plan import Plan
-    from sweeps.bench.processes import BenchError
-    from sweeps.bench.tables import measure
-    from sweeps.bench.text import as_markdown, as_text
-
-    plan = Plan(scenarios, steps, repeats, full, tuple(table.value for table in only or []))
-    for signum in (signal.SIGINT, signal.SIGTERM):  # nothing temporary stays behind
+    plan = Plan(scenarios, steps, repeats, full, peers, tuple(table.value for table in only or []))
+    form = "json" if json else "markdown" if markdown else "text"
+    for signum in (signal.SIGINT, signal.SIGTERM):  # so that temporary files are removed
         signal.signal(signum, signal.default_int_handler)
     try:
-        result = measure(plan, lambda line: print(line, file=sys.stderr, flush=True))
+        print(measure(plan, form, lambda line: print(line, file=sys.stderr, flush=True)))
     except (BenchError, KeyboardInterrupt) as error:
         print(f"fic-sweep: {str(error) or 'interrupted'}", file=sys.stderr)
         raise typer.Exit(1) from None
-    print(encoder.dumps(result) if json else (as_markdown if markdown else as_text)(result))
 
 
 @app.command()

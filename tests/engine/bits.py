@@ -1,12 +1,13 @@
-"""Seeded scenarios and the SHA-256 of their sweeps: which numbers this program makes.
+"""Seeded scenarios and the SHA-256 of their sweeps: the numbers that this program makes.
 
-`python -m tests.bits FILE` records every reading of the model; test_bits.py compares with it.
+`python -m tests.engine.bits` records every reading of the model in tests/golden/bits.json, under
+the arithmetic of this machine; test_bits.py compares with it. Raise `fic_jax.NUMERICS` when you
+record other bits.
 """
 
 import hashlib
 import itertools
 import json
-import sys
 import warnings
 from pathlib import Path
 
@@ -14,7 +15,9 @@ import jax
 import numpy as np
 
 from fic_jax import CHOICES, METRICS, Model, Params, sweep
+from fic_jax.engine import arithmetic
 
+GOLDEN = Path(__file__).parents[1] / "golden" / "bits.json"
 N, N_STEPS, DT = 4096, 200, 0.01
 
 
@@ -68,7 +71,7 @@ def digest(model, dtype, error_estimate=False, **options):
 
 
 def cases():
-    """Name, model, dtype and whether with error estimate of everything that is recorded."""
+    """What is recorded: name, model, dtype, whether with error estimates."""
     for name, model in readings():
         for dtype in ("float32", "float64"):
             yield f"{name} {dtype}", model, dtype, False
@@ -82,13 +85,9 @@ def cases():
 def main():
     jax.config.update("jax_enable_x64", True)
     warnings.simplefilter("error", RuntimeWarning)
-    place = Path(sys.argv[1])
-    only = sys.argv[2] if len(sys.argv) > 2 else ""
-    record = json.loads(place.read_text()) if place.exists() else {}
-    for name, model, dtype, error_estimate in cases():
-        if name not in record and only in name:
-            record[name] = digest(model, dtype, error_estimate)
-    place.write_text(json.dumps(record, indent=0, sort_keys=True) + "\n")
+    record = json.loads(GOLDEN.read_text()) if GOLDEN.exists() else {}
+    record[arithmetic()] = {name: digest(*case) for name, *case in cases()}
+    GOLDEN.write_text(json.dumps(record, indent=0, sort_keys=True) + "\n")
 
 
 if __name__ == "__main__":

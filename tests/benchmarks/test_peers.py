@@ -1,4 +1,4 @@
-"""The benchmark's peers compute what the engine computes, or their rates would mean nothing."""
+"""The peers compute the same metrics as the engine; otherwise their rates would mean nothing."""
 
 from functools import lru_cache
 from importlib import import_module
@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import fic_jax
-from benchmarks.peers import Missing
+from benchmarks.child import Missing
+from benchmarks.implementations import scenarios
+from benchmarks.plan import DT
 from fic_jax import METRICS, Metrics, Params
-from sweeps.bench.arrangements import scenarios
-from sweeps.bench.plan import DT
 
 STEPS, N = 300, 512
-# What the seeded scenarios leave at its default.
+# Parameters that the seeded scenarios leave at their defaults.
 SPECIAL = (
     Params(period=3 * DT),
     Params(Td=-5.0, gap=-0.01, xd=0.001),
@@ -26,7 +26,7 @@ PEERS = ("cpp", "numba_twin", "diffrax_twin")
 
 
 def _batch(dtype: type) -> Params:
-    """The special scenarios, one that leaves the finite numbers, then N seeded ones."""
+    """The special scenarios, one that overflows, then N seeded ones."""
     overflowing = Params(v_init=float(np.finfo(dtype).max) / 4)
 
     def column(*leaves: float | np.ndarray) -> np.ndarray:
@@ -60,9 +60,9 @@ def _got(peer: str, dtype: type) -> Metrics:
     return run()
 
 
-# Peers round elsewhere (reciprocals, fused products, another exponential). Settled motions forget a
-# rounding: the median is some units of the last place (1e-16, 6e-8). Motions that graze a switch
-# amplify it, in a few scenarios up to a different branch: hence bounds for a share of them only.
+# Peers round differently (reciprocals, FMA contraction, another exponential). A motion that settles
+# forgets a rounding error: the median is some units of the last place (1e-16, 6e-8). A motion that
+# grazes a switch amplifies it, and a few take another branch: the second bound is for 95 of 100.
 BOUNDS = {np.float64: (1e-13, 1e-9), np.float32: (3e-6, 1e-3)}  # median, 95 of 100
 
 
