@@ -18,7 +18,7 @@ from figures.paper import look
 ENERGIES = (0.125, 0.7, 1.25, 2.0, 2.75, 3.4, 4.5)  # J, kinetic, on passing the reference
 LARGEST_PEAK = 0.3  # rad; paths beyond are omitted, as in the paper
 NEAR = {"xlim": (-0.004, 0.034), "ylim": (-0.17, 0.02)}  # rad, rad/s: the last steps home
-HEAD = 0.4  # of a branch's length, where its arrow stands
+HEAD = 0.4  # of a branch's length, where its arrow is
 MODEL = Model(contact="welded", integrator="rk4_events")  # a weld to nothing: Kenv = Denv = 0
 
 

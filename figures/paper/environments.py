@@ -2,7 +2,7 @@
 
 The paper sets its "1 % error" as x_d = 0.001 rad, one hundredth of x0, where the environment
 begins at 0 (fig:4), and does not repeat it for the approach. Drawn are both things it may be
-here: an expectation 0.001 rad beyond the environment, and x_d = 0.001 rad as it stands, which
+here: an expectation 0.001 rad beyond the environment, and x_d = 0.001 rad as printed, which
 expects contact long before it is made.
 """
 

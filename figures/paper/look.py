@@ -9,9 +9,9 @@ from fic_jax import QUANTITIES, Params
 from figures import style
 from sweeps.paper.scenarios import scenarios
 
-# Okabe and Ito (2008): told apart by colour-blind readers, and in grey by their luminance.
+# Okabe and Ito (2008): colour-blind readers can distinguish them, and so can a grey print.
 DIVERGENCE, CONVERGENCE, OLDER = "#0072B2", "#D55E00", "0.15"
-MORE, LESS = "#009E73", "#D55E00"  # green and red of fig:1a; a hatch tells them apart as well
+MORE, LESS = "#009E73", "#D55E00"  # green and red of fig:1a; a hatch also distinguishes them
 REFERENCE = "0.45"  # bounds and set values
 
 MARKERS = ("o", "s", "D", "^", "v")

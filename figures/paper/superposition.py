@@ -58,8 +58,8 @@ def compute(law: Law, params: Params = look.PAPER, peaks: tuple[float, ...] = PE
             if diverging:
                 return Branch(np.asarray(e), np.asarray(limited), np.asarray(limited))
             free = replace(p, Fmax=jnp.inf)
-            asked = jax.vmap(lambda e: torque(e, attractor, free))
-            return Branch(np.asarray(e), np.asarray(limited), np.asarray(asked(e)))
+            unlimited = jax.vmap(lambda e: torque(e, attractor, free))
+            return Branch(np.asarray(e), np.asarray(limited), np.asarray(unlimited(e)))
 
         convergence = tuple(branch(peak, False) for peak in peaks)
         return Switches(law, params, branch(max(peaks), True), convergence)
@@ -106,10 +106,10 @@ def _draw(ax: Axes, law: Switches) -> None:
     ax.plot(up.e, up.torque, color=look.DIVERGENCE, lw=1.4, label="divergence")
     colour = look.CONVERGENCE
     for i, (down, jump) in enumerate(zip(law.convergence, jumps(law), strict=True)):
-        asked, given = ("before the limit", "convergence") if i == 0 else (None, None)
-        ax.plot(down.e, down.torque, color=colour, lw=1.0, ls=(0, (3, 1)), label=given)
+        before, limited = ("before the limit", "convergence") if i == 0 else (None, None)
+        ax.plot(down.e, down.torque, color=colour, lw=1.0, ls=(0, (3, 1)), label=limited)
         beyond = np.where(np.abs(down.unlimited) > Fmax, down.unlimited, np.nan)
-        ax.plot(down.e, beyond, color=colour, lw=1.0, ls=(0, (1, 1)), label=asked)
+        ax.plot(down.e, beyond, color=colour, lw=1.0, ls=(0, (1, 1)), label=before)
         e, after = down.e[-1], down.unlimited[-1]
         ax.plot([e, e], [after - jump, after], color="0.15", lw=0.8, marker="o", ms=2.5)
         text = "no jump" if abs(jump) < LEAST_JUMP else f"jump {_signed(jump)}"

@@ -102,11 +102,11 @@ class Judgement:
         for region in filter(len, self.regions):
             alike = [r for r in self.regions if r.period == region.period and r.complete()]
             if region.period:
-                tells = region.query == region.period or region is max(alike, key=len, default=None)
+                worth = region.query == region.period or region is max(alike, key=len, default=None)
             else:
                 inside = region.rows.index.isin(first.rows.index).all()
-                tells = region is first or not inside or not first.complete()
-            if tells:
+                worth = region is first or not inside or not first.complete()
+            if worth:
                 shown.append(region)
         return shown
 

@@ -6,7 +6,7 @@ linear in (x, v, x_h), and one period is one matrix:
     y(k+1) = Phi J y(k),   y = (x, v, x_h, 1)
 
 with J the tick of Algorithm 2 and Phi = exp(A period) the motion until the next one. A and J are
-derivatives of the physics' own functions, so that no equation stands here a second time.
+derivatives of the physics' own functions: no equation is written a second time.
 """
 
 from collections.abc import Callable

@@ -2,6 +2,7 @@
 
 import shlex
 import string
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -31,9 +32,44 @@ def judged(id):
     return judge(CLAIM[id], READING)
 
 
-# --- from a table to a verdict -------------------------------------------------------------------
+# --- the bounds ----------------------------------------------------------------------------------
 
-WIDE = {"": [1, 1, 1]}
+INF = float("inf")
+EDGES = {  # a scenario that is barely as claimed, then changes by which it no longer is
+    "C1": [{"nmse": 0.1, "nmse_tail": 1e-4}, {"nmse": 0.1001}, {"nmse_tail": 1.001e-4}],
+    "C2": [{"convergence_time": 0.75}, {"convergence_time": 0.751}, {"convergence_time": 0.333}],
+    "C3": [{"nmse": 1.0, "named": 1.0, "finer": 0.99, "K0": 1.0, "Td": 1.0},
+           {"nmse": 1.01}, {"finer": 1.0}],
+    "C4": [{"mean_error": -4.95}, {"mean_error": -4.949}, {"mean_error": -5.051}],
+    "C5": [{"nmse_tail": 0.0317, "convergence_time": 1.5}, {"nmse_tail": 0.0316},
+           {"nmse_tail": 0.317}, {"convergence_time": 1.501}, {"convergence_time": 0.666}],
+    "C6": [{"contact_time": 1.0, "contact_lost": 0.0}, {"contact_lost": 0.01},
+           {"contact_time": INF}],
+    "C7": [{"highest": -1e-9, "last": -0.01, "left": 0.99},
+           {"highest": 0.0}, {"last": -0.0099}, {"left": 1.0}, {"left": -1.0}],
+    "C8": [{"spike": 0.99, "spike_damped": 2.01, "turns": 2, "turns_damped": 1},
+           {"spike": 1.0}, {"spike_damped": 2.0}, {"turns_damped": 2},
+           {"turns": 1, "turns_damped": 0}],
+    "C9": [{"nmse": 3.0}, {"nmse": 3.001}, {"nmse": 1.333}],
+    "C10": [{"residual": 0.01, "convergence_time": 1.0, "time_15": 1.0},
+            {"residual": 0.0101}, {"convergence_time": 1.01}],
+    "C11": [{"share": 0.999}, {"share": 0.9989}],
+    "C12": [{"change": 1e-5}, {"change": 1.01e-5}, {"change": -1.01e-5}],
+    "C13": [{"distance": 0.01}, {"distance": 0.0101}],
+    "C14": [{"gained": 0.01, "moving": 0.01}, {"gained": 0.0101}, {"moving": 0.0101}],
+    "C15": [{"swing": 1.01, "extra": 0.01}, {"swing": 1.0101}, {"extra": 0.0101}],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("id", CLAIM)
+def test_a_scenario_is_as_claimed_up_to_the_bound(id):
+    edge, *changes = EDGES[id]
+    rows = pd.DataFrame([edge, *(edge | change for change in changes)])
+    good = judge(replace(CLAIM[id], table=lambda _: rows, conditions=[])).table.good
+    assert good.tolist() == [True] + [False] * len(changes)
+
+
+# --- from a table to a verdict -------------------------------------------------------------------
 
 
 def judgement(good, periods, parts):

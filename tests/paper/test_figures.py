@@ -220,7 +220,7 @@ def test_energy_areas_lie_where_the_difference_has_their_sign(drawn):
     more, less = (np.concatenate([path.vertices for path in a.get_paths()]) for a in areas)
     assert more[:, 1].min() >= 0.0 and more[:, 0].min() < 0.104 and more[:, 0].max() < 0.134
     assert less[:, 1].max() <= 0.0 and less[:, 0].max() == pytest.approx(0.3)
-    assert areas[0].get_hatch() != areas[1].get_hatch()  # told apart without green and red
+    assert areas[0].get_hatch() != areas[1].get_hatch()  # distinguished without green and red
 
 
 def test_limited_torque_releases_no_more(balance):

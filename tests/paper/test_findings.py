@@ -109,7 +109,7 @@ def test_the_linear_loop_is_exact_until_the_joint_turns(along_period):
 
 
 def test_the_closed_form_tells_who_overshoots(along_period):
-    """At 50 ms the boundary is 8.04 N*m/rad, from r = 3; at 10 ms nobody overshoots.
+    """At 50 ms the boundary is 8.04 N*m/rad, from r = 3; at 10 ms no joint overshoots.
 
     Not sharper: the inertia, which it neglects, moves the boundary to 7.4.
     """

@@ -105,19 +105,19 @@ def library(tmp_path):
 
 
 def test_missing_stores_are_run_and_unfinished_ones_resumed(library, tmp_path):
-    told = []
+    progresses = []
 
     def tell(name, progress):
-        told.append((name, progress.ran, progress.done))
+        progresses.append((name, progress.ran, progress.done))
 
     paths = report.stores(tmp_path / "r", ["tiny"], tell, library)
-    assert told == [("tiny", 0, 0), ("tiny", 4, 4)]
+    assert progresses == [("tiny", 0, 0), ("tiny", 4, 4)]
     with xr.open_zarr(paths["tiny"]) as data:
         assert data["nmse"].dtype == np.float32
         first = data.load()
     runner.reopen(paths["tiny"], 32).ledger.forget([0])  # as if stopped before its only block
     report.stores(tmp_path / "r", ["tiny"], tell, library)
-    assert told[2:] == [("tiny", 0, 0), ("tiny", 4, 4)]
+    assert progresses[2:] == [("tiny", 0, 0), ("tiny", 4, 4)]
     with xr.open_zarr(paths["tiny"]) as data:
         xr.testing.assert_equal(data.load(), first)
 

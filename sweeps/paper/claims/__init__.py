@@ -1,8 +1,8 @@
 """The paper's fifteen claims.
 
-C1.md to C15.md: a file for each claim, with its words, the query `good` (when is a scenario as
-claimed?) and the queries `conditions` (where may the claim hold?). The tables that they are asked
-of, one row for each scenario, are made here:
+C7.md is the file of claim C7: its words; the query `good`, true for a scenario that is as claimed;
+the queries `conditions`, parts of the scenarios in which the claim may hold. The queries select
+rows of a table with one row for each scenario, which these files make:
 
 | claims | file | what is simulated |
 |---|---|---|

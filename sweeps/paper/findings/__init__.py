@@ -10,8 +10,8 @@
 | online_gains.py | How fast does the swing grow where gains change in step with the motion? |
 
 Each has STORES, the sweeps of the library that it reads; `measure(*stores)`, which makes the data
-that figures/findings/NAME.py draws; and two tables for NAME.md, the words: its [numbers] are asked
-of `rows(data)`, and each line of its [table] is a row of `lines(data)`.
+that figures/findings/NAME.py draws; and two tables for NAME.md, the words: `rows(data)`, from which
+its [numbers] follow, and `lines(data)`, the lines of its [table].
 """
 
 from types import ModuleType

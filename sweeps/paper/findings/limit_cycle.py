@@ -18,7 +18,7 @@ SWING = 1e-2  # root mean square of T about its mean, over T_n, that counts as a
 LASTING = 0.25  # of its swing over 5 to 10 s that must last: what fades is none
 SWITCHES = 10  # of Algorithm 1 after 10 s, at least: a slow approach has none
 STRIPE = np.arange(25.0, 50.0, 0.25)  # N*m/rad, about the stripe
-WORSE = 100.0  # factor of nmse_tail by which a stripe stands out
+WORSE = 100.0  # times the nmse_tail of `effort`: there is the stripe
 
 READINGS = {
     "algorithm1, welded": Model(contact="welded"),

@@ -24,7 +24,7 @@ def measure(searched: xr.Dataset) -> xr.Dataset:
     cells = searched[[*METRICS, "status"]].load()
     sigma = cells["sigma"]
     rule = _rule(cells)
-    # where there is no rule the paper's sigma stands in, and nobody reads it
+    # without a rule the index is that of the paper's sigma; no result uses it
     position = _nearest(sigma, rule.fillna(PAPER))
     data = xr.Dataset({"rule": rule}, attrs={"largest": float(sigma.max())})
     for metric in METRICS:
