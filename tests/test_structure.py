@@ -45,6 +45,7 @@ ROOMS = {
     "sweeps.export": STORE,
     "sweeps.paper": {*RUNNER, "sweeps.paper", "sweeps"},  # sweeps: where its library is
     "figures": {*STORE, "figures"},
+    "figures.paper": {*STORE, "figures", "sweeps.paper.scenarios"},
     "benchmarks": {*RUNNER, "sweeps.processor", "benchmarks", "figures"},
     "benchmarks.__main__": {"sweeps.cli"},  # `python -m benchmarks` is `fic-sweep bench`
     "benchmarks.fic_sweep": {"benchmarks", "sweeps.cli", "sweeps.runner"},  # times a whole process

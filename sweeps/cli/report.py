@@ -5,12 +5,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sweeps import LIBRARY
 from sweeps.cli import interruption
 from sweeps.cli.errors import fail
 
 if TYPE_CHECKING:
-    from sweeps.paper.compose import Surroundings
     from sweeps.runner import Progress
 
 
@@ -27,37 +25,30 @@ def report(
 ) -> None:
     """Compare the paper's claims with simulations. Writes report.md and .html, in some minutes."""
     stop = interruption.stop_on_signals()
+    from figures.report import draw
     from sweeps import runner
-    from sweeps.paper import compose
+    from sweeps.paper import report as paper_report
     from sweeps.paper.claims import chosen
 
-    claims = chosen(only or [])
-    runner.configure(64)
-    given = _surroundings(stop)
-    if only:
-        for line in compose.lines(compose.judged(claims, given)):
-            print(line)
-        return
-    try:
-        page = compose.compose(results, given)
-    except (KeyboardInterrupt, OSError) as error:
-        why = "interrupted" if isinstance(error, KeyboardInterrupt) else f"failed: {error}"
-        fail(f"{why}; the stores in {results} are kept, the same command does the rest")
-    print(f"wrote {results / 'report.md'} and {results / 'report.html'}")
-    if docs:
-        print(f"wrote {compose.copy(page, results, docs)}")
-
-
-def _surroundings(stop: interruption.Stop) -> "Surroundings":
-    """What a report takes from the command line: the library, the pictures, lines and stops."""
-    from figures.report import draw
-    from sweeps.paper.compose import Surroundings
+    def say(line: str) -> None:
+        print(line, flush=True)
+        stop.raise_if_requested()
 
     def after_block(name: str, progress: "Progress") -> None:
         if progress.done == progress.cells:
             print(f"{name}: {progress.cells:,} scenarios", flush=True)
         stop.after_block(progress)
 
-    return Surroundings(
-        LIBRARY, lambda line: print(line, flush=True), after_block, stop.raise_if_requested, draw
-    )
+    claims = chosen(only or [])
+    runner.configure(64)
+    if only:
+        for section in paper_report.sections(claims, say):
+            print(f"\n{section.heading}\n\n{section.text}")
+        return
+    try:
+        pages = paper_report.make(results, say, after_block, draw, docs=docs)
+    except (KeyboardInterrupt, OSError) as error:
+        why = "interrupted" if isinstance(error, KeyboardInterrupt) else f"failed: {error}"
+        fail(f"{why}; the stores in {results} are kept, the same command does the rest")
+    for page in pages:
+        print(f"wrote {page}")
