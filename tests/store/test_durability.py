@@ -308,10 +308,10 @@ def test_a_killed_process_loses_nothing(stores, quick, processes):
 def test_a_process_that_is_killed_at_any_time_loses_nothing(stores, quick, processes):
     """At random times, with the thread that commits beside the one that computes."""
     chance, kills = random.Random(3), 0
-    for _ in range(200):
+    for _ in range(500):
         with stores.case() as path:
             sent = []
-            for seconds in (*(chance.uniform(0.01, 0.3) for _ in range(5)), 1e6):
+            for seconds in (*(chance.uniform(0.005, 0.08) for _ in range(5)), 1e6):
                 sent += said(*processes(victim.work, stores, path, None, seconds))
                 if path.exists():
                     stores.sound(path, max((n for n in sent if n != "ended"), default=0))
@@ -319,7 +319,7 @@ def test_a_process_that_is_killed_at_any_time_loses_nothing(stores, quick, proce
                     break
                 kills += 1
             assert contents(path) == stores.expected[5]
-    report(f"200 stores, killed {kills} times")
+    report(f"500 stores, killed {kills} times")
 
 
 @pytest.mark.parametrize("place", ["tiny.zarr", f".tiny.zarr{PARTIAL}"])
