@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from sweeps.spec.types import SweepError
+from sweeps.spec.mistakes import SweepError
 from sweeps.store.format import FLAGS
 
 SUFFIX = {"csv": ".csv", "parquet": ".parquet", "netcdf": ".nc"}

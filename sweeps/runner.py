@@ -2,7 +2,7 @@
 
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Generator, Iterator, Mapping
+from collections.abc import Callable, Collection, Generator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -12,12 +12,12 @@ import jax
 import numpy as np
 
 from fic_jax import Metrics, Params, sweep, tune_for_throughput
-from fic_jax.stiffness import fastest_rate
-from sweeps.cache import programs
+from sweeps import compile_cache
 from sweeps.plan.grid import Block, Grid, cells_of
 from sweeps.provenance import differences, provenance
+from sweeps.spec.mistakes import SweepError
 from sweeps.spec.rules import out_of_bounds
-from sweeps.spec.types import Sweep, SweepError
+from sweeps.spec.types import Sweep
 from sweeps.store.commit import Values, Writer, no_values, now, read_block, values_of, writing
 from sweeps.store.create import create
 from sweeps.store.format import DIVERGED, FAILED, OK
@@ -27,8 +27,6 @@ from sweeps.store.opening import Counts, Store, open_store
 from sweeps.store.verify import free
 
 ATTEMPTS = 3  # at a block before it is set aside
-STABLE = 2.78  # |lambda| dt beyond which RK4 diverges on a linear system
-ACCURATE = 1.0  # |lambda| dt up to which a step resolves it
 
 MEASURED_STEPS = 30_000_000  # plant steps of a dry run's measurement, some tenths of a second
 MEASURED_LEAST = 512  # scenarios, so that no device has idle lanes
@@ -78,7 +76,7 @@ def configure(precision: int, device: str | None = None) -> None:
             needed = "a GPU needs a driver and `pip install 'jax[cuda12]'`"
             raise SweepError(f"JAX {jax.__version__} finds no {device} here; {needed}") from None
     jax.config.update("jax_enable_x64", precision == 64)
-    cache, users = programs(), jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
+    cache, users = compile_cache.folder(), jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
     if cache is not None and not users:
         jax.config.update("jax_compilation_cache_dir", str(cache))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
@@ -217,23 +215,3 @@ def measure(grid: Grid, dtype: str) -> tuple[float, float]:
         _compute(grid, block, dtype, slice(n))
         seconds.append(time.perf_counter() - began)
     return max(seconds[0] - seconds[1], 0.0), n / seconds[1]
-
-
-def warnings_of(plan: Sweep) -> Iterator[str]:
-    """Warnings about an allowed sweep: a non-monotone profile, a coarse dt."""
-    p = plan.extremes()
-    with np.errstate(all="ignore"):  # extremes may overflow; the comparison still stands
-        overshoot = np.max(np.asarray(p.K0) * np.asarray(p.x0) / np.asarray(p.Fmax))
-        stiffest = fastest_rate(p) * plan.time.dt
-    if overshoot > 1.0:
-        yield (
-            f"K0*x0 reaches {overshoot:.3g} times Fmax: there the force profile (eq. 1) is not "
-            "monotone and the torque is cut off at Fmax"
-        )
-    if stiffest > ACCURATE:
-        state = "unstable" if stiffest > STABLE else "inaccurate"
-        yield (
-            f"dt = {plan.time.dt:g} s is {stiffest:.3g} times the time constant of the stiffest "
-            f"scenario: RK4 is {state} there (it resolves up to {ACCURATE:g}, diverges beyond "
-            f"{STABLE:g}); dt = {plan.time.dt / stiffest:.2g} s would do"
-        )

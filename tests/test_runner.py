@@ -8,11 +8,11 @@ import pytest
 import xarray as xr
 
 import fic_jax
-from sweeps import cache, provenance, runner
+from sweeps import compile_cache, provenance, runner
 from sweeps.cli import messages
 from sweeps.plan.grid import Grid, cells_of
+from sweeps.spec.mistakes import SweepError
 from sweeps.spec.reading import parse
-from sweeps.spec.types import SweepError
 from sweeps.store import format as store_format
 from sweeps.store import ledger
 from sweeps.store.lock import locked
@@ -355,12 +355,12 @@ def test_configure_leaves_an_existing_gpu_to_jax(fresh, monkeypatch):
 
 
 def test_xla_caches_with_our_compile_cache_or_in_the_users_folder(fresh, monkeypatch, tmp_path):
-    monkeypatch.setenv(cache.VARIABLE, "")
+    monkeypatch.setenv(compile_cache.VARIABLE, "")
     runner.configure(32)
     assert fresh.jax_compilation_cache_dir is None
-    monkeypatch.setenv(cache.VARIABLE, str(tmp_path / "ours"))
+    monkeypatch.setenv(compile_cache.VARIABLE, str(tmp_path / "ours"))
     runner.configure(32)
-    assert fresh.jax_compilation_cache_dir == str(cache.programs())
+    assert fresh.jax_compilation_cache_dir == str(compile_cache.folder())
     assert fresh.jax_persistent_cache_min_compile_time_secs == 0.2
     fresh.update("jax_compilation_cache_dir", str(tmp_path / "theirs"))
     runner.configure(32)

@@ -15,7 +15,7 @@ from zarr.storage import MemoryStore
 
 from fic_jax import Metrics, trusted
 from sweeps.plan.grid import Grid, cells_of, shape_of
-from sweeps.spec.types import SweepError
+from sweeps.spec.mistakes import SweepError
 from sweeps.store import format as store_format
 from sweeps.store import fsync
 from sweeps.store.format import DIVERGED, NO_ESTIMATE, NOT_RUN, NOT_TRUSTED, OK, STATUS, TRUSTED

@@ -11,7 +11,7 @@ from typing import Any
 import zarr
 
 from sweeps.plan.grid import Grid
-from sweeps.spec.types import SweepError
+from sweeps.spec.mistakes import SweepError
 from sweeps.store import format as store_format
 from sweeps.store.fsync import PARTIAL, sync, sync_tree
 from sweeps.store.ledger import LEDGER, Ledger

@@ -15,7 +15,8 @@ import numpy as np
 
 from fic_jax import CHOICES, Model, Params
 from sweeps.plan.grid import Grid, shape_of
-from sweeps.spec.types import Sweep, SweepError
+from sweeps.spec.mistakes import SweepError
+from sweeps.spec.types import Sweep
 from sweeps.store import fsync
 from sweeps.store.commit import Values, Writer, no_values, now, writing
 from sweeps.store.create import (

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from sweeps.spec.types import SweepError, shown
+from sweeps.spec.mistakes import SweepError, printable
 
 LOCK = "owner.lock"
 
@@ -44,7 +44,7 @@ def locked(folder: Path) -> Iterator[Lock]:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             note = _read(descriptor)
-            who = shown(f"process {note.get('pid', '?')} on {note.get('host', '?')}")
+            who = printable(f"process {note.get('pid', '?')} on {note.get('host', '?')}")
             raise SweepError(f"{folder}: is being changed by {who}; wait for it to end") from None
         block = _read(descriptor).get("block")
         _write(descriptor, None)

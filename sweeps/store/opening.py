@@ -12,7 +12,8 @@ import numpy as np
 import zarr
 
 from sweeps.plan.grid import Grid
-from sweeps.spec.types import Sweep, SweepError, shown
+from sweeps.spec.mistakes import SweepError, printable
+from sweeps.spec.types import Sweep
 from sweeps.store import format as store_format
 from sweeps.store.format import FORMAT, NOT_RUN, OK, STATUS, TRUSTED
 from sweeps.store.fsync import PARTIAL
@@ -198,7 +199,7 @@ def open_store(path: Path) -> Store:
     except SweepError:
         raise
     except Exception as error:  # whatever zarr and pydantic raise for a foreign file
-        reason = shown(" ".join(str(error).split())[:150])
+        reason = printable(" ".join(str(error).split())[:150])
         raise SweepError(f"{path}: is no result store of fic-sweep ({reason})") from None
     for array in expected:
         if not _matches(store, array):

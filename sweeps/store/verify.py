@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from sweeps.spec.types import SweepError
+from sweeps.spec.mistakes import SweepError
 from sweeps.store import fsync
 from sweeps.store.commit import write_checksum
 from sweeps.store.create import write_empty

@@ -3,7 +3,7 @@ import shutil
 import numpy as np
 import pytest
 
-from sweeps.spec.types import SweepError
+from sweeps.spec.mistakes import SweepError
 from sweeps.store import commit
 from sweeps.store.format import OK
 from sweeps.store.fsync import PARTIAL

@@ -1,8 +1,8 @@
 import pytest
 
 from sweeps import runner
+from sweeps.spec.mistakes import SweepError
 from sweeps.spec.reading import parse
-from sweeps.spec.types import SweepError
 from sweeps.store import create
 from sweeps.store.fsync import PARTIAL
 from sweeps.store.lock import LOCK

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from sweeps import runner
-from sweeps.spec.types import SweepError
+from sweeps.spec.mistakes import SweepError
 from sweeps.store import extend, verify
 from sweeps.store.fsync import PARTIAL
 from sweeps.store.ledger import LEDGER

@@ -7,8 +7,8 @@ import shutil
 import pytest
 
 from sweeps import runner
+from sweeps.spec.mistakes import SweepError
 from sweeps.spec.reading import parse
-from sweeps.spec.types import SweepError
 from sweeps.store import extend
 from sweeps.store.create import before_extension
 from sweeps.store.opening import Counts, open_store

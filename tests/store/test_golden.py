@@ -17,8 +17,8 @@ from sweeps import runner
 from sweeps.cli import messages
 from sweeps.export import write
 from sweeps.plan.grid import Grid
+from sweeps.spec.mistakes import SweepError
 from sweeps.spec.reading import parse
-from sweeps.spec.types import SweepError
 from sweeps.store import extend
 from sweeps.store import format as store_format
 from sweeps.store.ledger import SET_ASIDE

@@ -3,7 +3,7 @@ from contextlib import suppress
 
 import pytest
 
-from sweeps.spec.types import SweepError
+from sweeps.spec.mistakes import SweepError
 from sweeps.store.lock import LOCK, locked
 
 

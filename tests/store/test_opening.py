@@ -14,8 +14,8 @@ import xarray as xr
 import zarr
 
 from sweeps import runner
+from sweeps.spec.mistakes import SweepError
 from sweeps.spec.reading import parse
-from sweeps.spec.types import SweepError
 from sweeps.store import ledger
 from sweeps.store.opening import dataset, open_store
 from tests.command import typed

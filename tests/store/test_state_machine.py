@@ -32,8 +32,8 @@ from hypothesis.stateful import (
 
 import fic_jax
 from sweeps import runner
+from sweeps.spec.mistakes import SweepError
 from sweeps.spec.reading import load
-from sweeps.spec.types import SweepError
 from sweeps.store import extend
 from sweeps.store.create import before_extension
 from sweeps.store.format import DIVERGED, FAILED, NOT_RUN, OK, STATUS
