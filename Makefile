@@ -42,7 +42,7 @@ lint: $(VENV)/installed
 	$(BIN)/mypy
 
 torture: $(VENV)/installed
-	FIC_SWEEP_TORTURE=1 $(BIN)/pytest -s tests/store tests/lanes tests/spec/test_any_file.py
+	FIC_SWEEP_TORTURE=1 $(BIN)/pytest -s tests/lanes tests/engine/test_bits.py tests/spec/test_any_file.py tests/store
 
 coverage: $(VENV)/installed
 	$(BIN)/pytest --cov --cov-report= $(STORE_TESTS)

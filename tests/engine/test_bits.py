@@ -8,7 +8,7 @@ import json
 import os
 
 import pytest
-from tests.faults import TORTURE
+from tests.store.faults import TORTURE
 
 from fic_jax.engine import arithmetic
 from tests.engine import bits
