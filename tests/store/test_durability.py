@@ -23,8 +23,9 @@ from sweeps.store.lock import LOCK
 from sweeps.store.opening import open_store
 from tests.command import typed
 from tests.store import victim
-from tests.store.faults import Calls, Disk, Killed, build, many
+from tests.store.faults import Calls, Disk, Killed, build
 from tests.store.stores import TEXT, contents, enlarge, repaired, run
+from tests.torture import many
 
 
 def report(counted):
