@@ -8,12 +8,16 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-SWEEPS := paper-welded paper-contact period-map atlas-small
+# run or resume the sweeps $(1) with the options $(2)
+run = for name in $(1); do \
+	  if [ -e results/$$name.zarr ]; then $(BIN)/fic-sweep resume results/$$name.zarr; \
+	  else $(BIN)/fic-sweep run $$name --out results/$$name.zarr $(2); fi || exit $$?; \
+	done
 
 # every branch of what a sweep's numbers hang on; of the rest all but a few
-WHOLE := durable ledger owner commit store grid
-NEARLY := layout runner verify extend design
-STORE_TESTS := $(patsubst %,tests/test_%.py,store validation golden untrusted state_machine branches)
+WHOLE := $(addprefix store/,fsync lock ledger opening commit) plan/grid
+NEARLY := $(addprefix store/,format create extend verify) runner plan/random_design
+STORE_TESTS := tests/store tests/test_runner.py tests/spec tests/plan
 modules = $(subst $() ,$(comma),$(patsubst %,sweeps/%.py,$(1)))
 comma := ,
 
@@ -21,10 +25,9 @@ comma := ,
 
 sweep: $(VENV)/installed
 	@mkdir -p results
-	@for name in $(SWEEPS); do \
-	  if [ -e results/$$name.zarr ]; then $(BIN)/fic-sweep resume results/$$name.zarr; \
-	  else $(BIN)/fic-sweep run $$name --out results/$$name.zarr; fi || exit $$?; \
-	done
+	@# the paper's studies in double precision: their heatmaps show the report's numbers
+	@$(call run,paper-welded paper-contact,--precision 64)
+	@$(call run,period-map atlas-small,)
 	@echo "drawing ..."
 	@$(BIN)/python -m figures.overview results
 	@ls results/*.png
@@ -39,7 +42,7 @@ lint: $(VENV)/installed
 	$(BIN)/mypy
 
 torture: $(VENV)/installed
-	FIC_SWEEP_TORTURE=1 $(BIN)/pytest -s $(patsubst %,tests/test_%.py,durability state_machine fuzz untrusted native)
+	FIC_SWEEP_TORTURE=1 $(BIN)/pytest -s tests/lanes tests/engine/test_bits.py tests/spec/test_any_file.py tests/store
 
 coverage: $(VENV)/installed
 	$(BIN)/pytest --cov --cov-report= $(STORE_TESTS)
@@ -53,10 +56,8 @@ picture:
 figures: $(VENV)/installed
 	@echo "drawing the paper's figures ..."
 	@$(BIN)/python -m figures.paper
-	@# the findings beyond the paper, from the data that fic-sweep report has kept
-	@for data in $(wildcard results/figures/*.nc); do \
-	  $(BIN)/python -m figures.$$(basename $$data .nc) results/figures || exit $$?; \
-	done
+	@# the findings beyond the paper, from the data that fic-sweep report has written
+	@$(BIN)/python -m figures.findings
 	@ls results/figures/*.png
 
 $(VENV)/installed: pyproject.toml constraints.txt

@@ -32,7 +32,8 @@ def run(arguments: list[str], cache: str, began: float, report: bool) -> dict[st
     os.environ.pop("JAX_COMPILATION_CACHE_DIR", None)
     os.environ["FIC_SWEEP_CACHE"] = cache
     sys.argv = ["fic-sweep", *arguments]
-    from sweeps.cli import importing, main
+    from sweeps.cli import main
+    from sweeps.cli.process import importing
 
     spans: list[tuple[float, float]] = []
     answer = {}

@@ -9,7 +9,7 @@ from typing import Any
 
 import fic_jax
 from fic_jax.lanes import cores
-from sweeps.cache import cpuinfo, extensions
+from sweeps.processor import cpuinfo, extensions
 from sweeps.provenance import revision
 
 PACKAGES = ("jax", "jaxlib", "llvmlite", "numpy", "numba", "diffrax")

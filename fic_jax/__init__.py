@@ -1,6 +1,6 @@
 """fic_jax: the Fractal Impedance Controller (Tiseo et al. 2020), simulated by the million."""
 
-from fic_jax._version import __version__
+from fic_jax._version import NUMERICS, __version__
 from fic_jax.accuracy import TRUST, evaluate_with_error, trusted
 from fic_jax.engine import histories, sweep, tune_for_throughput
 from fic_jax.metrics import METRICS, Metrics, evaluate
@@ -11,6 +11,7 @@ from fic_jax.simulation import SIGNALS, Memory, Sample, State, control, init, ro
 __all__ = [
     "CHOICES",
     "METRICS",
+    "NUMERICS",
     "QUANTITIES",
     "SIGNALS",
     "TRUST",

@@ -1,6 +1,6 @@
 """Which fic_jax this is."""
 
-import time
-
 __version__ = "0.1.0"
-LOADED = time.time()  # s; sources that change later are not what this process runs
+# Raise it with every change that changes a number of a sweep; tests/engine/test_bits.py guards
+# it. A store records it, and `fic-sweep resume` continues no store with other numerics.
+NUMERICS = 1

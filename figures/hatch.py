@@ -1,4 +1,4 @@
-"""What lies under and over the colours of a heatmap: hatches of special cells, and their legend."""
+"""Hatches under and over the colours of a heatmap, and the legend that names them."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -12,7 +12,7 @@ from matplotlib.path import Path
 from numpy.typing import NDArray
 
 from figures import style
-from figures.planes import Slice
+from figures.planes import Plane
 
 INFINITE = {
     "convergence_time": "never converges",
@@ -21,7 +21,7 @@ INFINITE = {
     "contact_time_error": "touches in one of two runs",
 }
 HATCH_CELLS = 400  # per side; finer hatch outlines are below one printed dot
-# A dark line on a wider light one is seen on every colour, and in a grey print.
+# A dark line on a wider light line is visible on every colour, also in a grey print.
 _OVERLAY: tuple[dict[str, Any], ...] = tuple(
     {
         "facecolor": "none",
@@ -37,34 +37,34 @@ Edges = NDArray[np.float64]
 Cells = NDArray[np.bool_]
 
 
-def under(plane: Slice) -> Iterator[PathPatch]:
-    """One patch per kind of special cell, below the mesh, which shows it where it is masked."""
+def under(plane: Plane) -> Iterator[PathPatch]:
+    """A patch for each reason why cells have no value, below the mesh, which is masked there."""
     kinds = np.zeros(plane.values.shape, dtype=np.int8)
     for kind, cells in enumerate(plane.special.values(), start=1):
         kinds[cells] = kind
     rows, columns, x, y = _sampled(plane)
-    # a coarse cell takes one of its special cells, so that none is left bare behind the mesh
+    # a coarse cell shows any special cell in it, so that no masked cell stays blank
     coarse = np.maximum.reduceat(np.maximum.reduceat(kinds, rows, 0), columns, 1)
     sample = kinds[np.ix_(rows, columns)]
     coarse = np.where(sample > 0, sample, coarse)
     for kind, key in enumerate(plane.special, start=1):
-        # not antialiased: neighbouring rectangles would show their seams
+        # antialiasing would draw seams between neighbouring rectangles
         yield PathPatch(_path(coarse == kind, x, y), zorder=0.5, antialiased=False, **_look(key))
 
 
-def over(plane: Slice) -> Iterator[PathPatch]:
-    """The hatch of the cells that are not trusted, above the mesh, whose colours it leaves seen."""
+def over(plane: Plane) -> Iterator[PathPatch]:
+    """The hatch of the cells that are not trusted, above the mesh; their colours stay visible."""
     if plane.untrusted is None or not plane.untrusted.any():
         return
     rows, columns, x, y = _sampled(plane)
-    # a coarse cell is what its first one is: the share of the hatch stays that of the cells
+    # a coarse cell is what its first cell is, so that the hatch covers the true share of cells
     path = _path(plane.untrusted[np.ix_(rows, columns)], x, y)
     for zorder, look in zip((1.1, 1.2), _OVERLAY, strict=True):
         yield PathPatch(path, zorder=zorder, **look)
 
 
-def _sampled(plane: Slice) -> tuple[NDArray[np.intp], NDArray[np.intp], Edges, Edges]:
-    """At most about HATCH_CELLS rows and columns, and the edges of the cells they stand for."""
+def _sampled(plane: Plane) -> tuple[NDArray[np.intp], NDArray[np.intp], Edges, Edges]:
+    """At most about HATCH_CELLS rows and columns, and the edges between them."""
     rows, columns = (np.arange(0, n, max(1, n // HATCH_CELLS)) for n in plane.values.shape)
     x = np.append(plane.x.edges[columns], plane.x.edges[-1])
     y = np.append(plane.y.edges[rows], plane.y.edges[-1])
@@ -72,7 +72,7 @@ def _sampled(plane: Slice) -> tuple[NDArray[np.intp], NDArray[np.intp], Edges, E
 
 
 def _path(cells: Cells, x: Edges, y: Edges) -> Path:
-    """The cells between edges `x` and `y` as one path, a rectangle for each run along x."""
+    """The cells between edges `x` and `y` as one path: a rectangle for each run along x."""
     change = np.diff(np.pad(cells.astype(np.int8), ((0, 0), (1, 1))), axis=1)
     row, start = np.nonzero(change == 1)
     stop = np.nonzero(change == -1)[1]
@@ -92,35 +92,35 @@ def _look(key: str) -> dict[str, Any]:
     }
 
 
-def legend_entries(planes: Sequence[Slice]) -> dict[str, tuple[Patch, ...]]:
-    """A text and a hatched box for each kind of cell that occurs, with its share per panel."""
+def legend_entries(planes: Sequence[Plane]) -> dict[str, tuple[Patch, ...]]:
+    """Text -> hatched box, for each hatch in the planes; the text has its share of each panel."""
     metric = planes[0].metric
     words = {"not run": "not run yet", "infinite": INFINITE.get(metric, "infinite")}
     entries: dict[str, tuple[Patch, ...]] = {}
     for key in style.HATCHES:
-        found = [plane.special.get(key, np.zeros(1, bool)) for plane in planes]
-        if any(cells.any() for cells in found):
-            text = f"{words.get(key, key)} ({_shares(found)})"
+        cells = [plane.special.get(key, np.zeros(1, bool)) for plane in planes]
+        if any(panel.any() for panel in cells):
+            text = f"{words.get(key, key)} ({_shares(cells)})"
             entries[text] = (Patch(**_look(key) | {"linewidth": 0.5, "edgecolor": "black"}),)
-    doubtful = [plane.untrusted for plane in planes]
-    if any(cells is not None and cells.any() for cells in doubtful):
-        bound = f"error > {100 * max(plane.bound for plane in planes):g} % of nmse"
+    untrusted = [plane.untrusted for plane in planes]
+    if any(panel is not None and panel.any() for panel in untrusted):
+        bound = f"error > {100 * max(plane.trust_bound for plane in planes):g} % of nmse"
         box = Patch(facecolor="0.75", edgecolor="black", linewidth=0.5)
         hatches = (Patch(**look) for look in _OVERLAY)
-        entries[f"not trusted: {bound} ({_shares(doubtful)})"] = (box, *hatches)
+        entries[f"not trusted: {bound} ({_shares(untrusted)})"] = (box, *hatches)
     return entries
 
 
-def _shares(found: Sequence[Cells | None]) -> str:
-    """The share of each panel's cells; a dash for a store that cannot tell."""
-    shares = ["–" if cells is None else style.share(float(cells.mean())) for cells in found]
+def _shares(panels: Sequence[Cells | None]) -> str:
+    """Share of each panel's cells in percent; a dash for a store without estimates."""
+    shares = ["–" if cells is None else style.share(float(cells.mean())) for cells in panels]
     return f"{', '.join(shares)} %"
 
 
 def legend(
     fig: Figure, entries: dict[str, tuple[Patch, ...]], columns: int, panels_drawn: int
 ) -> None:
-    """Name the hatched cells below the axes, where no data can be covered."""
+    """Draw the legend below the axes, where it covers no data."""
     handles: list[Artist | tuple[Artist, ...]] = list(entries.values())
     fig.legend(
         handles=handles,

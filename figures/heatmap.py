@@ -1,6 +1,6 @@
-"""Heatmaps of one metric over two sweep axes, alone or as a row sharing one colour scale.
+"""Heatmaps of one metric over two dimensions.
 
-`panels` draws planes side by side; `plot` cuts one out of a store and draws it.
+`plot` cuts one plane out of a store and draws it; `panels` draws planes side by side.
 """
 
 import itertools
@@ -27,18 +27,19 @@ from matplotlib.ticker import (
 from numpy.typing import NDArray
 
 from figures import hatch, style
-from figures.planes import Axis, PlotError, Slice, select
-from sweeps.store.opening import ERRORS
+from figures.planes import Axis, Plane, PlotError, select
+from sweeps.store.format import ERRORS
 
-LOG_METRICS = ("nmse", "nmse_tail", *ERRORS)  # decades are what the paper argues with
+LOG_METRICS = ("nmse", "nmse_tail", *ERRORS)  # the paper compares decades
 LINEAR_METRICS = ("convergence_time", "contact_time")
 SIGNED_METRICS = ("steady_error",)
 
-FEW_TICKS = 6  # up to here every value of an axis is its own tick
-FEW_CELLS = 10  # up to here per side the numbers are printed
-MAX_DECADES = 8  # below this nmse is float32 rounding, and colours would be spent on it
-SMALLEST_NUMBER = 4.7  # point; smaller figures in cells are noise in print
-LABEL_ROOM, BAR_ROOM, PANEL_HEIGHT = 38, 50, 125  # points taken by labels, colour bar, one panel
+FEW_TICKS = 6  # values of an axis up to which each gets a tick
+FEW_CELLS = 10  # cells of a side up to which the cells carry numbers
+MAX_DECADES = 8  # of colours: further below, nmse is rounding in float32
+SMALLEST_NUMBER = 4.7  # point; nobody can read smaller digits in print
+LABEL_ROOM, BAR_ROOM = 38, 50  # point; width of the labels of an axis, of the colour bar
+PANEL_HEIGHT = 125  # point
 
 
 def plot(
@@ -49,21 +50,22 @@ def plot(
     metric: str = "nmse",
     at: Mapping[str, float | str] | None = None,
 ) -> Figure:
-    """Heatmap of `metric` over dimensions `x` and `y`, the other dimensions fixed by `at`."""
+    """Heatmap of `metric` over dimensions `x` and `y`; `at` fixes the others (`planes.select`)."""
     return panels([("", select(data, x=x, y=y, metric=metric, at=at))])
 
 
-def panels(items: Sequence[tuple[str, Slice]]) -> Figure:
-    """A row of titled planes of one metric under one colour scale, one colour bar, one legend.
+def panels(items: Sequence[tuple[str, Plane]]) -> Figure:
+    """A row of titled planes of one metric with one colour scale, one colour bar and one legend.
 
-    What all planes hold constant stands above the row, what differs above each plane.
+    The figure's title has the constants that all planes share, a panel's title has its own.
+    Raises PlotError without a plane, or if the planes have different metrics.
     """
     if not items:
         raise PlotError("panels needs at least one plane.")
     planes = [plane for _, plane in items]
     if len({plane.metric for plane in planes}) > 1:
-        found = ", ".join(dict.fromkeys(plane.metric for plane in planes))
-        raise PlotError(f"panels share one colour scale, but the metrics differ: {found}.")
+        metrics = ", ".join(dict.fromkeys(plane.metric for plane in planes))
+        raise PlotError(f"panels share one colour scale, but the metrics differ: {metrics}.")
     shared = all(_same(plane.y, planes[0].y) for plane in planes)
     width = max(style.PAGE_WIDTH, 1.7 * len(items)) if len(items) > 1 else style.COLUMN_WIDTH
     labels = LABEL_ROOM * (1 if shared else len(items))
@@ -96,9 +98,9 @@ def _same(one: Axis, other: Axis) -> bool:
 
 
 def _titles(
-    items: Sequence[tuple[str, Slice]], width: float, panel_width: float
+    items: Sequence[tuple[str, Plane]], width: float, panel_width: float
 ) -> tuple[str, list[str]]:
-    """The figure's title, and one title per panel, each wrapped to its width in points."""
+    """Title of the figure and of each panel, in lines of `width` and `panel_width` points."""
     planes = [plane for _, plane in items]
     common = [text for text in planes[0].fixed if all(text in plane.fixed for plane in planes)]
     names = {plane.name for plane in planes}
@@ -113,8 +115,8 @@ def _titles(
     return "\n".join(line for line in head if line), titles
 
 
-def _colours(planes: Sequence[Slice]) -> tuple[Colormap, Normalize, NDArray[np.float64]]:
-    """Colour map and scale shared by the planes, and the values they were chosen for."""
+def _colours(planes: Sequence[Plane]) -> tuple[Colormap, Normalize, NDArray[np.float64]]:
+    """Colour map, scale and all values of the planes."""
     metric = planes[0].metric
     pool = np.concatenate([plane.values.compressed() for plane in planes])
     cmap = style.DIVERGING if metric in SIGNED_METRICS else colormaps[style.SEQUENTIAL]
@@ -122,7 +124,7 @@ def _colours(planes: Sequence[Slice]) -> tuple[Colormap, Normalize, NDArray[np.f
 
 
 def _norm(metric: str, pool: NDArray[np.float64]) -> Normalize:
-    """Limits that a hundredth of the cells at either end cannot stretch, at round numbers."""
+    """A scale between round numbers around the middle 98 % of the values."""
     positive = pool[pool > 0]
     free = metric not in LINEAR_METRICS + SIGNED_METRICS and 0 < positive.size == pool.size
     log = metric in LOG_METRICS or (free and positive.max() > 100 * positive.min())
@@ -130,7 +132,7 @@ def _norm(metric: str, pool: NDArray[np.float64]) -> Normalize:
         low, high = np.log10(np.quantile(positive, [0.01, 0.99], method="inverted_cdf"))
         top = max(math.ceil(high), math.floor(low) + 1)
         bottom = max(math.floor(low), top - MAX_DECADES)
-        # clip: an exact zero takes the lowest colour, where a bare log would hide the cell
+        # clip: an exact zero gets the lowest colour; without it the cell would be blank
         return LogNorm(10.0**bottom, 10.0**top, clip=True)
     if not pool.size:
         return Normalize(0, 1)
@@ -138,14 +140,14 @@ def _norm(metric: str, pool: NDArray[np.float64]) -> Normalize:
     if metric in SIGNED_METRICS:
         high = max(abs(low), abs(high))
         low = -high
-    if high - low <= 1e-4 * max(abs(low), abs(high)):  # one value: no ticks between its digits
+    if high - low <= 1e-4 * max(abs(low), abs(high)):  # all values are equal, or nearly
         low, high = low - 0.1 * (abs(low) or 1.0), high + 0.1 * (abs(high) or 1.0)
-        low = 0.0 if metric in ERRORS else low  # they all are 0, and an error is never less
+        low = 0.0 if metric in ERRORS else low  # an error is not negative
     ticks = MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
     return Normalize(ticks[0], ticks[-1])
 
 
-def _panel(ax: Axes, plane: Slice, cmap: Colormap, norm: Normalize, room: float) -> QuadMesh:
+def _panel(ax: Axes, plane: Plane, cmap: Colormap, norm: Normalize, room: float) -> QuadMesh:
     """Draw one plane into `ax`, about `room` points wide."""
     ax.set_xscale("log" if plane.x.scale == "log" else "linear")
     ax.set_yscale("log" if plane.y.scale == "log" else "linear")
@@ -153,7 +155,7 @@ def _panel(ax: Axes, plane: Slice, cmap: Colormap, norm: Normalize, room: float)
         plane.x.edges, plane.y.edges, plane.values, cmap=cmap, norm=norm, rasterized=True, zorder=1
     )
     for patch in (*hatch.under(plane), *hatch.over(plane)):
-        ax.add_artist(patch)  # add_patch would walk every corner to find limits set below
+        ax.add_artist(patch)  # add_patch would compute limits from every corner
     for drawn, axis, length in ((ax.xaxis, plane.x, room), (ax.yaxis, plane.y, PANEL_HEIGHT)):
         _ticks(drawn, axis, length)
         drawn.set_label_text(axis.label)
@@ -165,7 +167,7 @@ def _panel(ax: Axes, plane: Slice, cmap: Colormap, norm: Normalize, room: float)
 
 
 def _ticks(drawn: DrawnAxis, axis: Axis, length: float) -> None:
-    """Ticks at the values of a short axis, at every category that fits, else at round numbers."""
+    """Ticks at the values of a short axis, at categories that fit, otherwise at round numbers."""
     drawn.set_minor_locator(NullLocator())
     if axis.scale == "category":
         step = math.ceil(len(axis.values) / 12)
@@ -190,7 +192,7 @@ def _ticks(drawn: DrawnAxis, axis: Axis, length: float) -> None:
 def _named_ticks(
     drawn: DrawnAxis, axis: Axis, values: NDArray[Any], labels: list[str], length: float
 ) -> None:
-    """Ticks with given labels, slanted below the axis or left blank where they would touch."""
+    """Ticks with given labels. Labels that would touch are slanted below the axis, or left out."""
     places = length * axis.place(values)
     slanted: dict[str, Any] = {}
     if isinstance(drawn, XAxis) and _touching(places, labels):
@@ -216,8 +218,8 @@ def _category(value: Any) -> str:
     return style.number(float(value)) if isinstance(value, np.floating) else str(value)
 
 
-def _cell_numbers(ax: Axes, plane: Slice, cmap: Colormap, norm: Normalize, room: float) -> None:
-    """Print every value in its cell, black or white; leave all out where none could be read."""
+def _cell_numbers(ax: Axes, plane: Plane, cmap: Colormap, norm: Normalize, room: float) -> None:
+    """Print each value in its cell, black or white, unless the digits would be too small."""
     digits, size, upright = _fit(plane, plane.values.compressed().tolist(), room)
     if size < SMALLEST_NUMBER:
         return
@@ -225,7 +227,7 @@ def _cell_numbers(ax: Axes, plane: Slice, cmap: Colormap, norm: Normalize, room:
     for row, column in np.argwhere(~np.ma.getmaskarray(plane.values)):
         value = plane.values[row, column]
         red, green, blue, _ = colour = cmap(norm(value))
-        cover = {"facecolor": colour, "linewidth": 0, "pad": 1}  # the hatch would cross out digits
+        cover = {"facecolor": colour, "linewidth": 0, "pad": 1}  # keeps the hatch off the digits
         dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
         ax.text(
             x[column],
@@ -240,8 +242,8 @@ def _cell_numbers(ax: Axes, plane: Slice, cmap: Colormap, norm: Normalize, room:
         )
 
 
-def _fit(plane: Slice, values: list[float], room: float) -> tuple[int, float, bool]:
-    """Digits, font size (points) and turn of the numbers, the first that can be read."""
+def _fit(plane: Plane, values: list[float], room: float) -> tuple[int, float, bool]:
+    """Digits, font size (points) and whether upright: the first readable choice, or the last."""
     wide = room * float(np.diff(plane.x.place(plane.x.edges)).min())
     high = PANEL_HEIGHT * float(np.diff(plane.y.place(plane.y.edges)).min())
     for upright, digits in ((False, 2), (False, 1), (True, 2), (True, 1)):
@@ -261,7 +263,7 @@ def _centres(axis: Axis) -> list[float]:
 def _colour_bar(
     fig: Figure, mesh: QuadMesh, axes: list[Axes], label: str, pool: NDArray[np.float64]
 ) -> None:
-    """One colour bar for the row; arrows where cells lie beyond its ends."""
+    """One colour bar for the row, with an arrow at an end that values exceed."""
     norm = mesh.norm
     below, above = pool.min() < norm.vmin, pool.max() > norm.vmax
     extend = {(0, 0): "neither", (1, 0): "min", (0, 1): "max", (1, 1): "both"}[below, above]

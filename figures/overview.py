@@ -1,4 +1,4 @@
-"""The pictures of `make sweep`, one row of panels for each question, and the README's picture."""
+"""The pictures of `make sweep`: a row of panels for each question; and the README's picture."""
 
 import argparse
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ METRICS = ("nmse", "nmse_tail", "convergence_time")
 
 
 def paper(welded: xr.Dataset, contact: xr.Dataset, metric: str) -> Figure:
-    """A metric over Td and K0, welded beside hard stop (Fig. 4 as a map)."""
+    """A metric over Td and K0, welded beside hard stop (the paper's Fig. 4 as a map)."""
     planes = [select(data, x="Td", y="K0", metric=metric) for data in (welded, contact)]
     return panels([("", plane) for plane in planes])
 
@@ -44,7 +44,7 @@ def search(data: xr.Dataset, metric: str) -> Figure:
 
 
 def figures(results: Path) -> Iterator[tuple[str, Figure]]:
-    """Every picture that the stores under `results` give, with its name."""
+    """Name and figure of every picture, from the stores under `results`."""
     names = ("paper-welded", "paper-contact", "period-map", "atlas-small")
     welded, contact, periods, small = (dataset(results / f"{name}.zarr") for name in names)
     for metric in METRICS:
@@ -55,10 +55,10 @@ def figures(results: Path) -> Iterator[tuple[str, Figure]]:
 
 
 def main() -> None:
-    """Draw the pictures of the stores in a folder into that folder."""
+    """Draw the stores in a folder; the pictures go into the same folder."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("results", type=Path)
-    parser.add_argument("--readme", type=Path, help="write only the README's picture, here")
+    parser.add_argument("--readme", type=Path, help="write only the README's picture, to this file")
     arguments = parser.parse_args()
     if arguments.readme:
         save(atlas(dataset(arguments.results / "atlas-small.zarr"), "nmse_tail"), arguments.readme)

@@ -1,4 +1,4 @@
-"""One plane of a store, cut out, scaled and sorted for drawing: axes, values, special cells."""
+"""The plane of a heatmap, cut out of a store: two axes, the values, the cells without a value."""
 
 import difflib
 import json
@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 
 from fic_jax import QUANTITIES, TRUST
 from figures import style
-from sweeps.store.opening import ERRORS, FLAGS, OK, STATUS, TRUSTED
+from sweeps.store.format import ERRORS, FLAGS, OK, STATUS, TRUSTED
 
 
 class PlotError(ValueError):
-    """A figure was asked for that the data cannot give; one clear line."""
+    """The data cannot give the requested figure; the text is one clear line."""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One side of a heatmap: n values, n + 1 cell edges in the scale they are drawn in."""
+    """One side of a heatmap: n values and n + 1 cell edges, on the scale of the drawing."""
 
     label: str
     scale: str  # "log" | "linear" | "category"
@@ -30,7 +30,7 @@ class Axis:
     edges: NDArray[np.float64]
 
     def place(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Where values lie along the drawn side: 0 at its start, 1 at its end."""
+        """Position of values along the drawn side: 0 at its start, 1 at its end."""
         low, high = self.edges[0], self.edges[-1]
         if self.scale == "log":
             return np.asarray(np.log(values / low) / math.log(high / low))
@@ -38,19 +38,19 @@ class Axis:
 
 
 @dataclass(frozen=True)
-class Slice:
-    """One plane of a store, `values[y, x]`; masked cells are named in `special`."""
+class Plane:
+    """One metric over two dimensions, `values[y, x]`; `special` says why a cell is masked."""
 
     x: Axis
     y: Axis
     metric: str
     label: str
     values: np.ma.MaskedArray[Any, Any]
-    special: Mapping[str, NDArray[np.bool_]]  # hatch name -> cells
-    name: str
-    fixed: tuple[str, ...]  # "symbol = value unit" of everything held constant
-    untrusted: NDArray[np.bool_] | None = None  # good but not trusted; None without estimates
-    bound: float = TRUST  # relative error of nmse up to which a cell is trusted
+    special: Mapping[str, NDArray[np.bool_]]  # reason, a key of style.HATCHES -> cells
+    name: str  # of the sweep
+    fixed: tuple[str, ...]  # "symbol = value unit" of each constant and each fixed dimension
+    untrusted: NDArray[np.bool_] | None = None  # cells that ran but are not trusted; None: unknown
+    trust_bound: float = TRUST  # largest relative error of nmse of a trusted cell
 
 
 def select(
@@ -60,8 +60,12 @@ def select(
     y: str,
     metric: str = "nmse",
     at: Mapping[str, float | str] | None = None,
-) -> Slice:
-    """Read one plane: nearest values to `at`, the middle of every dimension nobody named."""
+) -> Plane:
+    """Read one plane of a store.
+
+    `at` fixes other dimensions, each at the value nearest to the wanted one. A dimension that
+    nobody names is fixed at its middle. Raises PlotError if the store has no such plane.
+    """
     at = at or {}
     _require_metric(metric, data)
     for name in (x, y, *at):
@@ -72,19 +76,19 @@ def select(
     if x == y:
         raise PlotError(f"x and y must be two dimensions, but both are '{x}'.")
     for name in {x, y} & set(at):
-        raise PlotError(f"'{name}' is drawn as an axis; it cannot also be fixed by at.")
+        raise PlotError(f"'{name}' is drawn as an axis; `at` cannot fix it too.")
     index = {
         str(dim): _position(data[dim], at[str(dim)]) if dim in at else data.sizes[dim] // 2
         for dim in data[metric].dims
         if dim not in (x, y)
     }
     wanted = [metric, *(name for name in FLAGS if name in data)]
-    # isel before load: a store may be larger than memory, a plane of it never is
+    # isel before load: a store may be larger than memory, a plane is not
     plane = data[wanted].isel(index).load().transpose(y, x)
     for dim in (x, y):
         if _scale(plane[dim]) != "category" and not plane.indexes[dim].is_monotonic_increasing:
             plane = plane.sortby(dim)
-    return _slice(plane, x, y, metric)
+    return _plane(plane, x, y, metric)
 
 
 def _require_metric(metric: str, data: xr.Dataset) -> None:
@@ -112,7 +116,7 @@ def _require(name: str, known: Iterable[Hashable], what: str) -> None:
 
 
 def _position(coordinate: xr.DataArray, wanted: float | str) -> int:
-    """Index of the grid value nearest to `wanted`, in the scale of the axis."""
+    """Index of the value nearest to `wanted`, on the scale of the axis."""
     name, values = str(coordinate.name), coordinate.values
     if values.dtype.kind not in "iuf":
         _require(str(wanted), values, f"value of {name}")
@@ -122,7 +126,7 @@ def _position(coordinate: xr.DataArray, wanted: float | str) -> int:
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        raise PlotError(f"{name} is numeric, but at asks for '{wanted}'.")
+        raise PlotError(f"{name} is numeric, but `at` names '{wanted}'.")
     if len(values) == 1 and not math.isclose(number, values[0], rel_tol=1e-6, abs_tol=1e-12):
         raise PlotError(f"{name} = {number:g} was not run; its only value is {values[0]:g}.")
     grid, scale = values.astype(float), _scale(coordinate)
@@ -134,33 +138,33 @@ def _position(coordinate: xr.DataArray, wanted: float | str) -> int:
     return int(np.argmin(np.abs(ratio)))
 
 
-def _slice(plane: xr.Dataset, x: str, y: str, metric: str) -> Slice:
-    array = plane[metric]
+def _plane(data: xr.Dataset, x: str, y: str, metric: str) -> Plane:
+    array = data[metric]
     values = array.values.astype(float)
-    # a decoded fill value turns status 0 into NaN
-    status = np.nan_to_num(plane["status"].values) if "status" in plane else np.ones(values.shape)
+    # xarray decodes status 0, the fill value, as NaN
+    status = np.nan_to_num(data["status"].values) if "status" in data else np.ones(values.shape)
     special = {key: status == code for key, code in STATUS.items() if code != OK}
     good = status == OK
     special["infinite"] = good & np.isinf(values)
     hidden = ~good | ~np.isfinite(values)
     special["no value"] = hidden & ~np.logical_or.reduce(list(special.values()))
-    return Slice(
-        x=_axis(plane[x]),
-        y=_axis(plane[y]),
+    return Plane(
+        x=_axis(data[x]),
+        y=_axis(data[y]),
         metric=metric,
         label=_with_units(str(array.attrs.get("long_name", metric)), array),
         values=np.ma.masked_array(values, mask=hidden),
         special={key: cells for key, cells in special.items() if cells.any()},
-        name=str(plane.attrs.get("name", "")),
-        fixed=(*_constants(plane), *(_fixed(c) for c in plane.coords.values() if c.ndim == 0)),
-        untrusted=good & (plane["trusted"].values != TRUSTED) if "trusted" in plane else None,
-        bound=float(plane.attrs.get("trust_bound", TRUST)),
+        name=str(data.attrs.get("name", "")),
+        fixed=(*_constants(data), *(_fixed(c) for c in data.coords.values() if c.ndim == 0)),
+        untrusted=good & (data["trusted"].values != TRUSTED) if "trusted" in data else None,
+        trust_bound=float(data.attrs.get("trust_bound", TRUST)),
     )
 
 
-def _constants(plane: xr.Dataset) -> Iterator[str]:
-    """What the sweep's record holds constant: choices of the model and parameters."""
-    record = json.loads(plane.attrs.get("sweep", "{}"))
+def _constants(data: xr.Dataset) -> Iterator[str]:
+    """Model choices and parameters that the whole sweep holds constant."""
+    record = json.loads(data.attrs.get("sweep", "{}"))
     for name, choice in record.get("model", {}).items():
         if isinstance(choice, str):
             yield f"{name} = {choice}"
@@ -199,7 +203,7 @@ def _axis(coordinate: xr.DataArray) -> Axis:
 
 
 def _scale(coordinate: xr.DataArray) -> str:
-    """How the values are spaced: evenly, by ratio, or not as numbers at all."""
+    """The scale on which the values are most evenly spaced; "category" if they are no grid."""
     values = coordinate.values
     parameter = values.dtype.kind == "f" or (
         values.dtype.kind in "iu" and coordinate.name in style.SYMBOLS
@@ -210,9 +214,9 @@ def _scale(coordinate: xr.DataArray) -> str:
     positive = ordered[ordered > 0]
     wide = len(positive) > 1 and positive[-1] > 10**1.5 * positive[0]
     if len(positive) < len(ordered):
-        # zero has no place on a log axis, and a linear one would squeeze the decades to nothing
+        # a log axis has no zero, and a linear axis would leave no room for the small decades
         return "category" if wide else "linear"
-    # within a factor of two both scales look alike and a log axis finds no ticks
+    # within a factor of two both scales look alike, and a log axis has no tick
     if wide or len(ordered) < 3 or ordered[-1] < 2 * ordered[0]:
         return "log" if wide else "linear"
     steps, ratios = np.diff(ordered), np.diff(np.log(ordered))
@@ -221,7 +225,7 @@ def _scale(coordinate: xr.DataArray) -> str:
 
 
 def _edges(values: NDArray[Any], scale: str) -> NDArray[np.float64]:
-    """Cell edges midway between ascending values in the scale; the outer cells are symmetric."""
+    """Cell edges midway between ascending values on the scale; outer cells are symmetric."""
     if scale == "category" or len(values) == 1:
         return np.arange(len(values) + 1, dtype=np.float64) - 0.5
     numbers = values.astype(np.float64)
@@ -232,5 +236,5 @@ def _edges(values: NDArray[Any], scale: str) -> NDArray[np.float64]:
     if scale == "log":
         return np.asarray(np.exp(edges), dtype=np.float64)
     if points[0] > 0:
-        edges[0] = max(edges[0], 0.0)  # a positive quantity gets no negative axis
+        edges[0] = max(edges[0], 0.0)  # a positive quantity has no negative edge
     return edges

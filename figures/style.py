@@ -1,4 +1,4 @@
-"""How every figure looks: print sizes, paper symbols, colours, hatches, and saving."""
+"""The look of every figure: sizes, symbols, colours, hatches and numbers; and `save`."""
 
 import math
 import os
@@ -16,7 +16,7 @@ from matplotlib.textpath import TextPath
 
 COLUMN_WIDTH = 3.5  # inch, one column of a two-column paper
 PAGE_WIDTH = 7.16  # inch, both columns
-FONT_SIZE = 7.5  # point; smaller print is hard to read at column width
+FONT_SIZE = 7.5  # point; smaller letters are hard to read in a printed column
 SMALL_SIZE = 6.5  # point; legend and numbers inside cells
 
 RC: dict[Any, Any] = {  # Any: matplotlib types its keys as 300 literals
@@ -67,8 +67,8 @@ SYMBOLS = {
 }
 
 SEQUENTIAL = "viridis"
-# Luminance rises through zero as well, so that the sign survives a grey print; blue and orange
-# stay apart for colour-blind readers, and zero is the only neutral grey.
+# Luminance rises from end to end, so that a grey print shows the sign. Colour-blind readers can
+# tell blue from orange. Only zero is grey.
 DIVERGING = LinearSegmentedColormap.from_list(
     "signed", ["#0a2463", "#3f6fb5", "#a6a6a6", "#f2b66d", "#fff3d1"]
 )
@@ -76,7 +76,7 @@ DIVERGING = LinearSegmentedColormap.from_list(
 
 @dataclass(frozen=True)
 class Hatch:
-    """Look of the cells that hold no number; hatched, so that no map colour can be meant."""
+    """The look of cells without a number: no colour of the map has a hatch."""
 
     face: str
     ink: str
@@ -92,16 +92,16 @@ HATCHES = {
 }
 
 
-UNTRUSTED = 4 * "\\"  # over a colour, see figures.hatch
+UNTRUSTED = 4 * "\\"  # the hatch over the colour of a cell that is not trusted
 
 
 def units_text(units: str) -> str:
-    """Units for print: a raised dot for products, nothing for the unit "1"."""
+    """A unit for print: N·m for N*m, nothing for 1."""
     return "" if units in ("", "1") else units.replace("*", "·").replace("^2", "²")
 
 
 def number(value: float) -> str:
-    """Four significant digits, as a power of ten where plain digits would be long."""
+    """Four significant digits, with a power of ten if plain digits would be long."""
     text = f"{value:.4g}"
     if "e" not in text:
         return text.replace("-", "−")
@@ -111,7 +111,7 @@ def number(value: float) -> str:
 
 
 def cell_number(value: float, digits: int) -> str:
-    """The shortest honest print of a cell: 0.012, 3.1, 240, 1.5e-5."""
+    """A number with `digits` significant digits, as short as possible: 0.012, 3.1, 240, 1.5e-5."""
     if value == 0:
         return "0"
     text = f"{value:.{digits - 1}e}"
@@ -123,7 +123,7 @@ def cell_number(value: float, digits: int) -> str:
 
 
 def share(fraction: float) -> str:
-    """A share in percent, never rounded to nothing or to everything."""
+    """A fraction in percent; only exactly 0 and 1 become 0 and 100."""
     percent = 100 * fraction
     if 0 < percent < 0.1:
         return "<0.1"
@@ -133,14 +133,14 @@ def share(fraction: float) -> str:
 
 
 def text_width(text: str, size: float) -> float:
-    """Printed width of the longest line, in points."""
+    """Width of the longest line in points."""
     font = FontProperties(family="DejaVu Sans", size=size)
     lines = [line for line in text.split("\n") if line.strip()]
     return max((TextPath((0, 0), line, prop=font).get_extents().width for line in lines), default=0)
 
 
 def wrap(pieces: list[str], width: float, size: float = FONT_SIZE) -> str:
-    """Pieces joined by commas into lines no wider than `width` points; no piece is broken."""
+    """Join pieces by commas into lines of at most `width` points; break no piece."""
     lines: list[str] = []
     for piece in pieces:
         if lines and text_width(f"{lines[-1]}, {piece}", size) <= width:
@@ -151,7 +151,7 @@ def wrap(pieces: list[str], width: float, size: float = FONT_SIZE) -> str:
 
 
 def fold(text: str, width: float, size: float = FONT_SIZE) -> str:
-    """Plain text broken at spaces and hyphens into lines no wider than `width` points."""
+    """Break text at spaces and hyphens into lines of at most `width` points."""
     wide = text_width(text, size)
     if wide <= width:
         return text
@@ -166,9 +166,9 @@ UNDATED: dict[str, dict[str, Any]] = {
 
 
 def save(fig: Figure, path: str | os.PathLike[str]) -> None:
-    """Write a PNG at 200 dpi, a PDF or an SVG, whose bytes depend on the picture alone.
+    """Write a PNG (200 dpi), PDF or SVG; the same figure gives the same bytes at any time.
 
-    Raises ValueError for any other suffix.
+    Raises ValueError for another suffix.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in UNDATED:

@@ -1,1 +1,17 @@
-"""What to run, where results live, and the command line `fic-sweep`."""
+"""Sweeps: from a sweep file to a store of results, and on to tables, pictures and the report.
+
+- `spec`: reads and checks a sweep file; `library`: the sweeps that come with the program
+- `plan`: its scenarios, block by block
+- `store`: the result store on disk
+- `runner`: computes the blocks of a store; `provenance`: names the program and the machine
+- `compile_cache`, `processor`: where compiled programs are kept, one folder for each processor
+- `export`: a store as CSV, Parquet or NetCDF
+- `paper`: the paper's scenarios and claims, and the report about them
+- `cli`: the command `fic-sweep`
+
+Imports point one way: cli -> paper -> runner -> store -> plan -> spec -> fic_jax.
+"""
+
+from pathlib import Path
+
+LIBRARY = Path(__file__).parent / "library"

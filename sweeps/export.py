@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from sweeps.spec.types import SweepError
-from sweeps.store.opening import FLAGS
+from sweeps.spec.mistakes import SweepError
+from sweeps.store.format import FLAGS
 
 SUFFIX = {"csv": ".csv", "parquet": ".parquet", "netcdf": ".nc"}
 PIECE = 500_000  # rows held at once

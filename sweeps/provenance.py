@@ -1,19 +1,20 @@
-"""Which program, on what, made a store: what two runs must share to have the same bits."""
+"""What made a store's numbers: two runs that agree in `IDENTITY` give the same bits."""
 
-import hashlib
 import os
 import subprocess
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 import jax
 
 import fic_jax
-import sweeps
+from fic_jax.engine import arithmetic
 
-# What must agree before a store is continued. The rest (device, revision) is told, not compared.
+# `resume` continues a store only if all of these are equal; the rest is for the reader.
 IDENTITY = (
-    "program",
+    "numerics",
+    "arithmetic",
     "jax",
     "jaxlib",
     "llvmlite",
@@ -24,16 +25,14 @@ IDENTITY = (
     "xla_flags",
 )
 
-# What a larger store takes over from the one it began as.
-KEPT = (*IDENTITY, "fic_jax", "revision", "device", "start")
 
-
-def provenance(precision: int) -> dict[str, str]:
-    """Attributes that name the program, its libraries, the device and the precision."""
+def provenance(precision: int) -> dict[str, Any]:
+    """Attributes of a store: numerics version, arithmetic, libraries, device and precision."""
     device = jax.devices()[0]
     return {
         "fic_jax": fic_jax.__version__,
-        "program": fingerprint(),
+        "numerics": fic_jax.NUMERICS,
+        "arithmetic": arithmetic(),
         "revision": revision(),
         "jax": jax.__version__,
         "jaxlib": version("jaxlib"),
@@ -47,28 +46,21 @@ def provenance(precision: int) -> dict[str, str]:
     }
 
 
+def differences(began: dict[str, Any], now: dict[str, Any]) -> list[str]:
+    """What of `IDENTITY` differs between a store's attributes and those of this process."""
+    return [f"{k} was {began.get(k)}, is {now[k]}" for k in IDENTITY if began.get(k) != now[k]]
+
+
 def llvmlite() -> str:
-    """The version of what compiles sweeps on a CPU; empty where XLA does."""
+    """The version of what compiles sweeps for a CPU; empty if XLA does."""
     try:
         return version("llvmlite")
     except PackageNotFoundError:
         return ""
 
 
-def fingerprint() -> str:
-    """SHA-256 of the sources that decide a number, from a cell's values to what is stored."""
-    engine = sorted(Path(fic_jax.__file__).parent.rglob("*.py"))
-    root = Path(sweeps.__file__).parent
-    rooms = [sorted((root / room).rglob("*.py")) for room in ("spec", "plan", "store")]
-    plan = [*(path for room in rooms for path in room), root / "runner.py"]
-    digest = hashlib.sha256()
-    for path in [*engine, *plan]:
-        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
-    return digest.hexdigest()[:16]
-
-
 def revision() -> str:
-    """The source's git commit, with `+` where the working tree differs; the version elsewhere."""
+    """The git commit of the source, with `+` if the working tree differs; else the version."""
     git = ["git", "-C", str(Path(fic_jax.__file__).parent)]
     try:
         described = subprocess.run(

@@ -1,8 +1,8 @@
-"""From a sweep to a store: plan, blocks, engine, commit. Prints nothing; tells a callback."""
+"""Run a sweep into a store: plan, blocks, engine, commit. Prints nothing; reports to a callback."""
 
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Generator, Iterator, Mapping
+from collections.abc import Callable, Collection, Generator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -12,21 +12,21 @@ import jax
 import numpy as np
 
 from fic_jax import Metrics, Params, sweep, tune_for_throughput
-from fic_jax.stiffness import fastest_rate
-from sweeps.cache import programs
+from sweeps import compile_cache
 from sweeps.plan.grid import Block, Grid, cells_of
-from sweeps.provenance import IDENTITY, provenance
+from sweeps.provenance import differences, provenance
+from sweeps.spec.mistakes import SweepError
 from sweeps.spec.rules import out_of_bounds
-from sweeps.spec.types import Sweep, SweepError
-from sweeps.store.commit import Values, Writer, changing, kept, no_values, now, values_of
-from sweeps.store.format import create
+from sweeps.spec.types import Sweep
+from sweeps.store.commit import Values, Writer, no_values, now, read_block, values_of, writing
+from sweeps.store.create import create
+from sweeps.store.format import DIVERGED, FAILED, OK
 from sweeps.store.ledger import DONE, SET_ASIDE, Row
-from sweeps.store.lock import Owner
-from sweeps.store.opening import DIVERGED, FAILED, OK, Store, Tally, open_store
+from sweeps.store.lock import Lock
+from sweeps.store.opening import Counts, Store, open_store
+from sweeps.store.verify import free
 
 ATTEMPTS = 3  # at a block before it is set aside
-STABLE = 2.78  # |lambda| dt beyond which RK4 diverges on a linear system
-ACCURATE = 1.0  # |lambda| dt up to which a step resolves it
 
 MEASURED_STEPS = 30_000_000  # plant steps of a dry run's measurement, some tenths of a second
 MEASURED_LEAST = 512  # scenarios, so that no device has idle lanes
@@ -34,7 +34,7 @@ MEASURED_LEAST = 512  # scenarios, so that no device has idle lanes
 
 @dataclass(frozen=True)
 class Progress:
-    """Told once before the first block and once after each that is on disk."""
+    """The state of a run, before its first block and after each that is on the disk."""
 
     cells: int  # of the whole sweep
     done: int  # cells of finished blocks
@@ -44,7 +44,7 @@ class Progress:
     set_aside: tuple[Row, ...] = ()  # blocks that this run could not compute
 
     def after(self, row: Row, cells: int, known: Row | None, seconds: float) -> "Progress":
-        """Once a block of `cells` is on disk, of which some were `known` before."""
+        """The state after a block of `cells`; its row before this run is `known`."""
         if row.outcome == SET_ASIDE:
             return replace(self, seconds=seconds, set_aside=(*self.set_aside, row))
         diverged = row.diverged - (known.diverged if known else 0)
@@ -58,13 +58,13 @@ class Progress:
         )
 
 
-Tell = Callable[[Progress], None]
+OnProgress = Callable[[Progress], None]
 
 
 def configure(precision: int, device: str | None = None) -> None:
-    """Set JAX up for sweeps, with programs kept from run to run; before JAX starts.
+    """Set JAX up for sweeps, with a compile cache, before JAX starts.
 
-    `device` is "cpu", "gpu" or what JAX prefers. Raises SweepError where there is no such device.
+    `device` is "cpu", "gpu" or None for JAX's choice. Raises SweepError if it does not exist.
     """
     tune_for_throughput()
     if device == "cpu":
@@ -76,10 +76,9 @@ def configure(precision: int, device: str | None = None) -> None:
             needed = "a GPU needs a driver and `pip install 'jax[cuda12]'`"
             raise SweepError(f"JAX {jax.__version__} finds no {device} here; {needed}") from None
     jax.config.update("jax_enable_x64", precision == 64)
-    kept = programs()
-    own = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
-    if kept is not None and not own:
-        jax.config.update("jax_compilation_cache_dir", str(kept))
+    cache, users = compile_cache.folder(), jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
+    if cache is not None and not users:
+        jax.config.update("jax_compilation_cache_dir", str(cache))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
@@ -92,10 +91,12 @@ def start(path: Path, plan: Sweep, chunk: int | None, precision: int) -> Store:
 
 
 def reopen(path: Path, precision: int) -> Store:
-    """Open a store to be continued; refuses one that another program began."""
+    """Open a store to continue it. Raises SweepError if this process would give other bits."""
     store = open_store(path)
-    began, now = store.group.attrs.asdict(), provenance(precision)
-    differing = [f"{k} was {began.get(k)}, is {now[k]}" for k in IDENTITY if began.get(k) != now[k]]
+    began = store.group.attrs.asdict()
+    differing = differences(began, provenance(precision))
+    if "numerics" not in began:  # its `program` was a hash of source text: it compares with nothing
+        differing = ["it does not record its numerics and arithmetic, so its bits can't be matched"]
     if differing:
         raise SweepError(
             f"{path}: was begun by another program ({'; '.join(differing)}); "
@@ -104,38 +105,50 @@ def reopen(path: Path, precision: int) -> Store:
     return store
 
 
-def run(store: Store, tell: Tell, only: Collection[int] | None = None) -> Progress:
-    """Run every block (or those named) that is not done; safe to interrupt between any two lines.
+def run(store: Store, on_progress: OnProgress, only: Collection[int] | None = None) -> Progress:
+    """Run every block (or those in `only`) that is not done; safe to interrupt at any line.
 
-    Raises SweepError where another process is at it, OSError where the disk refuses.
+    Raises SweepError if another process changes the store, OSError if the disk refuses.
     """
     grid, began = store.grid, time.perf_counter()
-    with changing(store) as (writer, owner):
-        tally = Tally.of(store)
-        pending = [i for i in tally.pending if only is None or i in only]
-        todo = sum(cells_of(grid.block(index)) for index in tally.pending)
+    with writing(store) as (writer, lock):
+        counts = Counts.of(store)
+        pending = [i for i in counts.pending if only is None or i in only]
+        todo = sum(cells_of(grid.block(index)) for index in counts.pending)
         progress = Progress(grid.cells, grid.cells - todo)
-        tell(progress)
-        # what its process was killed in may be what killed it, and comes last
-        pending.sort(key=lambda index: index == owner.died_at)
-        with closing(_committed(writer, owner, pending, tally.begun)) as committed:
+        on_progress(progress)
+        # The block in which the last process was killed may be what killed it: it comes last.
+        pending.sort(key=lambda index: index == lock.killed_in)
+        with closing(_run_blocks(writer, lock, pending, counts.unfinished)) as committed:
             for row, when in committed:
-                n, known = cells_of(grid.block(row.block)), tally.begun.get(row.block)
+                n, known = cells_of(grid.block(row.block)), counts.unfinished.get(row.block)
                 progress = progress.after(row, n, known, when - began)
-                tell(progress)
+                on_progress(progress)
         if progress.done == grid.cells and "end" not in store.group.attrs:
-            writer.ended()  # also where an interruption came just before this line
+            writer.end()
     return progress
 
 
-def _committed(
-    writer: Writer, owner: Owner, pending: list[int], begun: Mapping[int, Row]
-) -> Generator[tuple[Row, float]]:
-    """Compute the blocks and commit them: each, and when it was on disk.
+def recompute(store: Store, blocks: list[int], on_progress: OnProgress) -> list[int]:
+    """Run damaged blocks again; returns those whose files differ from the ledger's checksums."""
+    before = {row.block: row.files for row in store.rows() if row.block in set(blocks)}
+    with writing(store) as (writer, _):
+        writer.ledger.delete(blocks)
+        for block in blocks:
+            for name in store.variables:
+                free(store.file(name, block))
+    run(store, on_progress, blocks)
+    after = {row.block: row.files for row in store.rows()}
+    return [b for b, files in before.items() if b in after and after[b] != files]
 
-    A block is written while the next one is computed, and told of after that. Whoever stops
-    asking loses none that is computed: closing waits until it is written. A block that fails
-    comes again after all others, and is set aside in the end.
+
+def _run_blocks(
+    writer: Writer, lock: Lock, pending: list[int], unfinished: Mapping[int, Row]
+) -> Generator[tuple[Row, float]]:
+    """Compute and commit blocks; yields each row and the time at which it was on the disk.
+
+    One thread commits a block while the next one is computed. Closing the generator waits for that
+    commit. A block that fails runs again after all others; after ATTEMPTS it is set aside.
     """
     queue = deque((index, 1) for index in pending)
 
@@ -146,8 +159,8 @@ def _committed(
         last: Future[tuple[Row, float]] | None = None
         while queue:
             index, attempt = queue.popleft()
-            owner.takes(index)
-            values, row = _attempt(writer.store, index, begun.get(index), attempt)
+            lock.computing(index)
+            values, row = _attempt(writer.store, index, unfinished.get(index), attempt)
             if row.outcome == SET_ASIDE and attempt < ATTEMPTS:
                 queue.append((index, attempt + 1))
                 continue
@@ -159,19 +172,19 @@ def _committed(
 
 
 def _attempt(store: Store, index: int, known: Row | None, attempt: int) -> tuple[Values, Row]:
-    """Compute a block; what is known of it, from a smaller store, is not computed again."""
+    """Compute the cells of a block that its row, from a smaller store, does not have."""
     block, began = store.grid.block(index), time.perf_counter()
-    before = kept(store, known) if known else None
+    before = read_block(store, known) if known else None
     todo: slice | np.ndarray = slice(None)
     if before:
         todo = np.isin(before["status"], (OK, DIVERGED), invert=True)
     try:
         values = values_of(*_compute(store.grid, block, store.dtype, todo))
-    except Exception as error:  # the sweep goes on without it, and says so
-        told = f"{type(error).__name__}: {error}".splitlines()[0][:300]
+    except Exception as error:  # the sweep continues without this block
+        reason = f"{type(error).__name__}: {error}".splitlines()[0][:300]
         values = before or no_values(store.grid, index)
         values["status"][todo] = FAILED
-        return values, Row(index, SET_ASIDE, attempt=attempt, error=told)
+        return values, Row(index, SET_ASIDE, attempt=attempt, error=reason)
     if before:
         for name in before:
             before[name][todo] = values[name]
@@ -182,10 +195,7 @@ def _attempt(store: Store, index: int, known: Row | None, attempt: int) -> tuple
 def _compute(
     grid: Grid, block: Block, dtype: str, cells: slice | np.ndarray = slice(None)
 ) -> tuple[Metrics, Metrics | None]:
-    """Metrics of a block, or of some of its scenarios, and their errors where wanted.
-
-    In the precision of the store.
-    """
+    """Metrics of a block, or of some of its cells, and their errors if the sweep wants them."""
     params = {name: np.asarray(v, dtype) for name, v in vars(grid.params(block, dtype)).items()}
     batch = Params(**{name: v[cells] if v.ndim else v for name, v in params.items()})
     plan = grid.sweep
@@ -205,23 +215,3 @@ def measure(grid: Grid, dtype: str) -> tuple[float, float]:
         _compute(grid, block, dtype, slice(n))
         seconds.append(time.perf_counter() - began)
     return max(seconds[0] - seconds[1], 0.0), n / seconds[1]
-
-
-def warnings_of(plan: Sweep) -> Iterator[str]:
-    """What is allowed but should be known: a non-monotone profile, a coarse dt."""
-    p = plan.extremes()
-    with np.errstate(all="ignore"):  # extremes may overflow; the comparison still stands
-        overshoot = np.max(np.asarray(p.K0) * np.asarray(p.x0) / np.asarray(p.Fmax))
-        stiffest = fastest_rate(p) * plan.time.dt
-    if overshoot > 1.0:
-        yield (
-            f"K0*x0 reaches {overshoot:.3g} times Fmax: there the force profile (eq. 1) is not "
-            "monotone and the torque is cut off at Fmax"
-        )
-    if stiffest > ACCURATE:
-        state = "unstable" if stiffest > STABLE else "inaccurate"
-        yield (
-            f"dt = {plan.time.dt:g} s is {stiffest:.3g} times the time constant of the stiffest "
-            f"scenario: RK4 is {state} there (it resolves up to {ACCURATE:g}, diverges beyond "
-            f"{STABLE:g}); dt = {plan.time.dt / stiffest:.2g} s would do"
-        )

@@ -1,6 +1,7 @@
-"""`fic-sweep` as a user types it: in a process of its own, or in this one where it is quick."""
+"""Run `fic-sweep` as a user types it: in a process of its own, or, faster, in this one."""
 
 import io
+import os
 import shutil
 import subprocess
 import sys
@@ -10,19 +11,19 @@ from dataclasses import dataclass
 from unittest.mock import patch
 
 from sweeps import cli, runner
+from sweeps.cli import errors, interruption
 
 FIC_SWEEP = shutil.which("fic-sweep", path=sysconfig.get_path("scripts"))
 
 
 def call(*arguments, code, folder=None, environment=None):
-    """What it printed, once it ended with `code` and without a traceback."""
+    """Run the command in a process of its own; it must end with `code` and without a traceback."""
     done = subprocess.run(
         [FIC_SWEEP, *arguments],
         cwd=folder,
-        env=environment,
+        env=(environment or os.environ) | {"PYTHONUTF8": "1"},  # whatever the locale
         capture_output=True,
-        text=True,
-        timeout=200,
+        encoding="utf-8",
         check=False,
     )
     assert done.returncode == code, done.stderr + done.stdout
@@ -31,8 +32,8 @@ def call(*arguments, code, folder=None, environment=None):
 
 
 @dataclass(frozen=True)
-class Told:
-    """How a command ended."""
+class Ended:
+    """What a command printed, and its exit code."""
 
     code: int
     stdout: str
@@ -40,17 +41,17 @@ class Told:
 
 
 def typed(*arguments):
-    """The command in this process, JAX and the signals staying as the tests have them.
+    """Run the command in this process, without changing JAX or the signal handlers.
 
-    What would be a traceback is raised.
+    Raises what would be a traceback.
     """
     out, err = io.StringIO(), io.StringIO()
     with (
         patch.object(sys, "argv", ["fic-sweep", *map(str, arguments)]),
-        patch.object(cli, "_stop_between_blocks", list),
+        patch.object(interruption, "stop_on_signals", interruption.Stop),
         patch.object(runner, "configure", lambda *_: None),
         redirect_stdout(out),
         redirect_stderr(err),
     ):
-        code = cli._dispatch()
-    return Told(code, out.getvalue(), err.getvalue())
+        code = errors.dispatch(cli.app)
+    return Ended(code, out.getvalue(), err.getvalue())

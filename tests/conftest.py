@@ -8,7 +8,7 @@ import tempfile
 import jax
 
 import fic_jax
-from sweeps.cache import VARIABLE
+from sweeps.compile_cache import VARIABLE
 
 # Before the backend starts: what the engine wants, and two devices wherever the tests run.
 fic_jax.tune_for_throughput(2)

@@ -1,9 +1,9 @@
-"""One script for each figure of the paper: plot(data) is pure, main() simulates and saves.
+"""The figures of the paper: `plot(data)` is pure, `figures()` simulates and plots.
 
 Figures go by their labels in the paper's source, fig:0 to fig:9; LaTeX numbers them one or two
 higher, for fig:00 comes first and fig:2 is missing.
 
-| picture | label | printed | what it shows | script |
+| picture | label | printed | what it shows | file |
 |---|---|---|---|---|
 | profile | | | eq. 1, which no figure shows | profile.py |
 | attractor | fig:0a | 2a | phase portrait | attractor.py |
@@ -19,3 +19,28 @@ higher, for fig:00 comes first and fig:2 is missing.
 The last six, simulations of 10 s, are drawn at a step of 10 ms and, ending in _1ms, at 1 ms. What
 is left, fig:00, 0b and 3, are drawings of a muscle, of a circuit and of the block diagram.
 """
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from figures import style
+from figures.paper import (
+    attractor,
+    energy,
+    environments,
+    histories,
+    profile,
+    superposition,
+    welded_contact,
+)
+
+SCRIPTS = (profile, attractor, energy, superposition, welded_contact, environments, histories)
+
+
+def write(folder: Path) -> Iterator[str]:
+    """Write every figure as a PNG into a folder; yields each stem."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for script in SCRIPTS:
+        for name, figure in script.figures():
+            style.save(figure, folder / f"{name}.png")
+            yield name

@@ -1,7 +1,7 @@
 """Phase portrait of the fractal attractor (fig:0a): an inertia that nothing else acts on."""
 
+from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -13,12 +13,12 @@ from matplotlib.figure import Figure
 
 from fic_jax import Model, Params, init, rollout
 from figures import style
-from figures.paper import look, studies
+from figures.paper import look
 
 ENERGIES = (0.125, 0.7, 1.25, 2.0, 2.75, 3.4, 4.5)  # J, kinetic, on passing the reference
 LARGEST_PEAK = 0.3  # rad; paths beyond are omitted, as in the paper
 NEAR = {"xlim": (-0.004, 0.034), "ylim": (-0.17, 0.02)}  # rad, rad/s: the last steps home
-HEAD = 0.4  # of a branch's length, where its arrow stands
+HEAD = 0.4  # of a branch's length, where its arrow is
 MODEL = Model(contact="welded", integrator="rk4_events")  # a weld to nothing: Kenv = Denv = 0
 
 
@@ -30,7 +30,7 @@ def simulate(
     sigma = 0 keeps the reference of Algorithm 2 at Td/K0.
     """
     signed = np.array([s * E for E in energies for s in (1.0, -1.0)])
-    inertia = studies.PAPER.I
+    inertia = look.PAPER.I
 
     def one(v: jax.Array) -> tuple[jax.Array, ...]:
         p = Params(Kenv=0.0, Denv=0.0, sigma=0.0, period=dt, v_init=v)
@@ -60,7 +60,7 @@ def plot(data: xr.Dataset) -> Figure:
             panel.plot(0, 0, "o", color="black", ms=2.5, zorder=4)
         ax.set(xlim=(-0.33, 0.33), ylim=(-1.05, 1.05))
         ax.set(xlabel=r"$\tilde{x}$ (rad)", ylabel=r"$\dot{\tilde{x}}$ (rad/s)")
-        look.mark_bounds(ax, studies.PAPER, sides=(-1, 1))
+        look.mark_bounds(ax, look.PAPER, sides=(-1, 1))
         place: dict[str, Any] = {"loc": "outside upper center", "ncols": 2, "frameon": False}
         fig.legend(*ax.get_legend_handles_labels(), **place)
     return fig
@@ -103,10 +103,6 @@ def _arrow(ax: Axes, e: np.ndarray, rate: np.ndarray, inside: np.ndarray, colour
     ax.annotate("", (e[at + 1], rate[at + 1]), (e[at], rate[at]), arrowprops=tip)
 
 
-def main(folder: Path = look.FOLDER) -> list[str]:
-    """Simulate the paths and write the portrait."""
-    return [look.write(plot(simulate()), folder, "attractor")]
-
-
-if __name__ == "__main__":
-    main()
+def figures() -> Iterator[tuple[str, Figure]]:
+    """The portrait of simulated paths."""
+    yield "attractor", plot(simulate())

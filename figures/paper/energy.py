@@ -1,7 +1,7 @@
 """Released versus absorbed energy (fig:1a): what Algorithm 1 gives back after a peak error."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ from fic_jax import Model, Params, energy
 from fic_jax.controller import begin_branch, torque
 from fic_jax.params import canonical
 from figures import style
-from figures.paper import look, studies
+from figures.paper import look
 
 LARGEST_PEAK = 0.3  # rad, as in the phase portrait
 NEAR = {"xlim": (0.09, 0.15), "ylim": (-0.055, 0.045)}  # rad, J: where the difference turns
@@ -53,7 +53,7 @@ def released(e_M: float | jax.Array, p: Params, model: Model, limited: bool) -> 
     return jnp.trapezoid(below, inner) + jnp.trapezoid(above, outer)
 
 
-def compute(params: Params = studies.PAPER, n: int = 601) -> Energies:
+def compute(params: Params = look.PAPER, n: int = 601) -> Energies:
     """The energies of n peak errors up to 0.3 rad, in float64."""
     with jax.enable_x64(True):
         p = canonical(params)
@@ -134,10 +134,6 @@ def _lines(ax: Axes, data: Energies, base: Array) -> None:
         )
 
 
-def main(folder: Path = look.FOLDER) -> list[str]:
-    """Compute the energies of the paper's profile and write the figure."""
-    return [look.write(plot(compute()), folder, "energy")]
-
-
-if __name__ == "__main__":
-    main()
+def figures() -> Iterator[tuple[str, Figure]]:
+    """The energies of the paper's profile."""
+    yield "energy", plot(compute())

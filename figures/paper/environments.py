@@ -2,11 +2,11 @@
 
 The paper sets its "1 % error" as x_d = 0.001 rad, one hundredth of x0, where the environment
 begins at 0 (fig:4), and does not repeat it for the approach. Drawn are both things it may be
-here: an expectation 0.001 rad beyond the environment, and x_d = 0.001 rad as it stands, which
+here: an expectation 0.001 rad beyond the environment, and x_d = 0.001 rad as printed, which
 expects contact long before it is made.
 """
 
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -16,13 +16,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from fic_jax import Model
 from figures import style
-from figures.paper import look, studies
+from figures.paper import look
+from sweeps.paper.scenarios import measured, scenarios
 
 ESTIMATES = {  # rad, x_d -> what it is
-    studies.GAP: "exact contact",
-    studies.GAP + studies.ESTIMATE_ERROR: "1 % error, beyond the environment",
-    studies.ESTIMATE_ERROR: "1 % error, as printed",
+    look.GAP: "exact contact",
+    look.GAP + look.ESTIMATE_ERROR: "1 % error, beyond the environment",
+    look.ESTIMATE_ERROR: "1 % error, as printed",
 }
 COLOURS = ("#0072B2", "#E69F00", "#CC79A7")  # Okabe and Ito, of the estimates
 METRICS = {"nmse": "whole run", "nmse_tail": "last 5 s"}
@@ -30,10 +32,12 @@ METRICS = {"nmse": "whole run", "nmse_tail": "last 5 s"}
 
 def simulate(step: float) -> tuple[xr.Dataset, ...]:
     """Both studies: K0 = 100, Td = 5 and what is not varied as in the paper."""
-    return tuple(
-        studies.metrics({"xd": tuple(ESTIMATES), field: values}, step=step, gap=studies.GAP)
-        for field, values in studies.ENVIRONMENTS.items()
-    )
+    studies = []
+    for name, field in (("paper-stiffness", "Kenv"), ("paper-damping", "Denv")):
+        rows = measured(scenarios(name, xd=tuple(ESTIMATES), period=[step]), Model(), step)
+        cells = rows.set_index(["xd", field])[list(METRICS)].to_xarray()
+        studies.append(cells.sel(xd=list(ESTIMATES)).assign_attrs(period=step))
+    return tuple(studies)
 
 
 def plot(data: tuple[xr.Dataset, ...]) -> Figure:
@@ -45,7 +49,7 @@ def plot(data: tuple[xr.Dataset, ...]) -> Figure:
             _draw(ax, study)
         panels[0].set(yscale="log", ylabel="normalised MSE")
         place: dict[str, Any] = {"loc": "outside upper center", "ncols": 1, "frameon": False}
-        fig.legend(handles=_legend(data[0]), title=studies.told_step(data[0]), **place)
+        fig.legend(handles=_legend(data[0]), title=look.step(data[0].attrs["period"]), **place)
     return fig
 
 
@@ -83,13 +87,7 @@ def _legend(study: xr.Dataset) -> list[Line2D]:
     return estimates + kinds
 
 
-def main(folder: Path = look.FOLDER) -> list[str]:
-    """Simulate both studies at either step and write a figure of each."""
-    return [
-        look.write(plot(simulate(step)), folder, "mse_impact" + ending)
-        for ending, step in studies.STEPS.items()
-    ]
-
-
-if __name__ == "__main__":
-    main()
+def figures() -> Iterator[tuple[str, Figure]]:
+    """Both studies at either step."""
+    for ending, step in look.STEPS.items():
+        yield f"mse_impact{ending}", plot(simulate(step))

@@ -1,9 +1,10 @@
 """Torque, torque error and position over time: welded, contact, stiffness, damping (fig:6-9)."""
 
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import xarray as xr
 from matplotlib import rc_context
 from matplotlib.axes import Axes
@@ -11,17 +12,30 @@ from matplotlib.figure import Figure
 
 from fic_jax import Model
 from figures import style
-from figures.paper import look, studies
+from figures.paper import look
+from sweeps.paper.scenarios import motions, scenarios
 
-GRID = {"Td": (1.0, 5.0, 20.0), "K0": studies.STIFFNESSES}  # Td: those that the captions name
-APPROACH: dict[str, Any] = {"gap": studies.GAP, "xd": studies.GAP}
-STUDIES: dict[str, dict[str, Any]] = {
-    "history_welded": {"grid": GRID, "model": Model(contact="welded")},
-    "history_contact": {"grid": GRID},
-    "history_stiffness": {"grid": {"Td": (5.0,), "Kenv": studies.ENVIRONMENTS["Kenv"]}} | APPROACH,
-    "history_damping": {"grid": {"Td": (5.0,), "Denv": studies.ENVIRONMENTS["Denv"]}} | APPROACH,
+STUDIES = {  # picture -> sweep, its rows (those that the captions name), the field of the lines
+    "history_welded": ("paper-welded", "Td in [1, 5, 20]", "K0"),
+    "history_contact": ("paper-contact", "Td in [1, 5, 20]", "K0"),
+    "history_stiffness": ("paper-stiffness", "Td == 5", "Kenv"),
+    "history_damping": ("paper-damping", "Td == 5", "Denv"),
 }
 SHOWN = (2.0, 98.0)  # percentiles of the torque errors that their row has to hold
+
+
+def simulate(picture: str, step: float) -> xr.Dataset:
+    """Motions of a study over Td, the field of its lines, and time."""
+    sweep, query, field = STUDIES[picture]
+    rows = scenarios(sweep, period=[step]).query(query)
+    found = motions(rows, Model(), step)[["tau_env", "x"]].reset_coords(drop=True)
+    index = pd.MultiIndex.from_frame(rows[["Td", field]])
+    over = xr.Coordinates.from_pandas_multiindex(index, "scenario")
+    return (
+        found.assign_coords(over)
+        .unstack("scenario")
+        .assign_attrs(gap=rows["gap"].iloc[0], period=step)
+    )
 
 
 def plot(data: xr.Dataset) -> Figure:
@@ -29,7 +43,7 @@ def plot(data: xr.Dataset) -> Figure:
 
     Thin lines mark Td, the saturation torque, the error that it leaves, and the environment.
     """
-    field = next(str(name) for name in data["torque"].dims if name not in ("Td", "t"))
+    field = next(str(name) for name in data["tau_env"].dims if name not in ("Td", "time"))
     columns = data["Td"].values
     with rc_context(style.RC):
         width = style.PAGE_WIDTH if columns.size > 1 else style.COLUMN_WIDTH
@@ -38,7 +52,7 @@ def plot(data: xr.Dataset) -> Figure:
         for column, Td in zip(grid.T, columns, strict=True):
             _column(column, data.sel(Td=Td), field)
             column[0].set_title(look.values("Td", [Td])[0])
-            column[-1].set(xlabel=r"$t$ (s)", xlim=(0.0, round(float(data["t"].max()), 6)))
+            column[-1].set(xlabel=r"$t$ (s)", xlim=(0.0, round(float(data["time"].max()), 6)))
         rows = ("torque $T$ (N·m)", r"torque error $\tilde{T}$ (N·m)", "position $x$ (rad)")
         for ax, text in zip(grid[:, 0], rows, strict=True):
             ax.set_ylabel(text)
@@ -46,22 +60,22 @@ def plot(data: xr.Dataset) -> Figure:
         handles = grid[0, 0].get_legend_handles_labels()
         n = min(len(handles[0]), 3 if columns.size > 1 else 2)
         place: dict[str, Any] = {"loc": "outside upper center", "ncols": n, "frameon": False}
-        fig.legend(*handles, title=studies.told_step(data), **place)
+        fig.legend(*handles, title=look.step(data.attrs["period"]), **place)
     return fig
 
 
 def _column(axes: np.ndarray, runs: xr.Dataset, field: str) -> None:
     torque, error, position = axes
     Td = float(runs["Td"])
-    Fmax, gap = studies.PAPER.Fmax, runs.attrs.get("gap", studies.PAPER.gap)
+    Fmax, gap = look.PAPER.Fmax, runs.attrs["gap"]
     values = runs[field].values
     for value, text, colour, dashes in zip(
         values, look.values(field, values), look.ordered(values.size), look.DASHES, strict=False
     ):
         run, kind = runs.sel({field: value}), {"color": colour, "ls": dashes, "lw": 0.7}
-        torque.plot(run["t"], run["torque"], label=text, **kind)
-        error.plot(run["t"], run["torque"] - Td, **kind)
-        position.plot(run["t"], run["x"], **kind)
+        torque.plot(run["time"], run["tau_env"], label=text, **kind)
+        error.plot(run["time"], run["tau_env"] - Td, **kind)
+        position.plot(run["time"], run["x"], **kind)
     thin = {"color": look.REFERENCE, "lw": 0.5, "zorder": 0}
     torque.axhline(Td, label="set value, limit, environment", **thin)
     error.axhline(0.0, **thin)
@@ -69,7 +83,7 @@ def _column(axes: np.ndarray, runs: xr.Dataset, field: str) -> None:
     if Td > Fmax:
         torque.axhline(Fmax, **thin)
         error.axhline(Fmax - Td, **thin)
-    _zoom(error, runs["torque"].values - Td)
+    _zoom(error, runs["tau_env"].values - Td)
 
 
 def _zoom(ax: Axes, error: np.ndarray) -> None:
@@ -80,14 +94,8 @@ def _zoom(ax: Axes, error: np.ndarray) -> None:
     ax.set_ylim(low - margin, high + margin)
 
 
-def main(folder: Path = look.FOLDER) -> list[str]:
-    """Simulate the four studies at either step and write a figure of each."""
-    return [
-        look.write(plot(studies.histories(**study, step=step)), folder, name + ending)
-        for name, study in STUDIES.items()
-        for ending, step in studies.STEPS.items()
-    ]
-
-
-if __name__ == "__main__":
-    main()
+def figures() -> Iterator[tuple[str, Figure]]:
+    """The four studies at either step."""
+    for name in STUDIES:
+        for ending, step in look.STEPS.items():
+            yield f"{name}{ending}", plot(simulate(name, step))

@@ -1,24 +1,29 @@
-"""What the paper's figures share: colours, line ends, labels, and where they are written."""
+"""What the paper's figures share: colours, line ends, labels, and the paper's values."""
 
 from collections.abc import Iterable
-from pathlib import Path
 
 from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from fic_jax import QUANTITIES, Params
 from figures import style
+from sweeps.paper.scenarios import scenarios
 
-# Okabe and Ito (2008): told apart by colour-blind readers, and in grey by their luminance.
+# Okabe and Ito (2008): colour-blind readers can distinguish them, and so can a grey print.
 DIVERGENCE, CONVERGENCE, OLDER = "#0072B2", "#D55E00", "0.15"
-MORE, LESS = "#009E73", "#D55E00"  # green and red of fig:1a; a hatch tells them apart as well
+MORE, LESS = "#009E73", "#D55E00"  # green and red of fig:1a; a hatch also distinguishes them
 REFERENCE = "0.45"  # bounds and set values
 
 MARKERS = ("o", "s", "D", "^", "v")
 DASHES = ("-", "--", "-.", (0, (1, 1)), (0, (4, 1, 1, 1, 1, 1)))
 
-FOLDER = Path("results/figures")
+PAPER = Params()
+STIFFNESSES = tuple(scenarios("paper-welded")["K0"].unique())  # N*m/rad
+# s, by the ending of a picture's name: every study is drawn at the step the paper prints, and at
+# one where Algorithm 2, an integrator of gain sigma/(period K0), is ten times as quick.
+STEPS = {"": 0.01, "_1ms": 0.001}
+GAP = 0.5  # rad, where the environment of the approach begins
+ESTIMATE_ERROR = 0.001  # rad, the "1 % error" of fig:4: one hundredth of x0
 
 
 def mark_bounds(ax: Axes, p: Params, sides: tuple[int, ...] = (1,)) -> None:
@@ -38,7 +43,7 @@ def ordered(n: int) -> list[tuple[float, float, float, float]]:
 
 def label(field: str) -> str:
     """Symbol and unit of a field of Params, for an axis."""
-    return f"{style.SYMBOLS[field]} ({unit(field)})"
+    return f"{style.SYMBOLS[field]} ({unit(field)})" if unit(field) else style.SYMBOLS[field]
 
 
 def unit(field: str) -> str:
@@ -51,8 +56,6 @@ def values(field: str, numbers: Iterable[float]) -> list[str]:
     return [f"{style.SYMBOLS[field]} = {style.number(n)} {unit(field)}" for n in numbers]
 
 
-def write(figure: Figure, folder: Path, name: str) -> str:
-    """Save a figure as a PNG in a folder; returns its name."""
-    folder.mkdir(parents=True, exist_ok=True)
-    style.save(figure, folder / f"{name}.png")
-    return name
+def step(period: float) -> str:
+    """The time step of a study, for its title."""
+    return f"plant step and control period {1000 * period:g} ms"

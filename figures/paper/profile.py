@@ -1,7 +1,7 @@
 """The force profile and how soon it saturates (eq. 1): 99.9 % of Fmax before xb."""
 
+from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -12,22 +12,22 @@ from matplotlib.figure import Figure
 
 from fic_jax import Params, force
 from figures import style
-from figures.paper import look, studies
+from figures.paper import look
 
 STATED = 1e-3  # what the text leaves to Fmax before xb: 0.1 %
 LARGEST = 0.15  # rad
 NOTE: dict[str, Any] = {"fontsize": style.SMALL_SIZE, "color": look.REFERENCE}
 
 
-def compute(stiffnesses: tuple[float, ...] = studies.STIFFNESSES, n: int = 6001) -> xr.Dataset:
+def compute(stiffnesses: tuple[float, ...] = look.STIFFNESSES, n: int = 6001) -> xr.Dataset:
     """F_K (N*m) over the error (rad) for each K0, in float64."""
     with jax.enable_x64(True):
         e = np.linspace(0.0, LARGEST, n)
-        rows = [np.asarray(force(e, replace(studies.PAPER, K0=K0))) for K0 in stiffnesses]
+        rows = [np.asarray(force(e, replace(look.PAPER, K0=K0))) for K0 in stiffnesses]
     return xr.Dataset({"force": (("K0", "e"), np.stack(rows))}, {"K0": list(stiffnesses), "e": e})
 
 
-def plot(data: xr.Dataset, params: Params = studies.PAPER) -> Figure:
+def plot(data: xr.Dataset, params: Params = look.PAPER) -> Figure:
     """The profile for each K0, and what it lacks to Fmax between x0 and xb."""
     with rc_context(style.RC):
         fig = Figure(figsize=(style.COLUMN_WIDTH, 3.9))
@@ -54,10 +54,6 @@ def plot(data: xr.Dataset, params: Params = studies.PAPER) -> Figure:
     return fig
 
 
-def main(folder: Path = look.FOLDER) -> list[str]:
-    """Compute the profiles and write the figure."""
-    return [look.write(plot(compute()), folder, "profile")]
-
-
-if __name__ == "__main__":
-    main()
+def figures() -> Iterator[tuple[str, Figure]]:
+    """The profiles of the paper's stiffnesses."""
+    yield "profile", plot(compute())

@@ -1,7 +1,7 @@
 """Torque of both branches at the switch (fig:1b): Algorithm 1 beside the older law."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -16,7 +16,7 @@ from fic_jax import Model, Params
 from fic_jax.controller import begin_branch, torque
 from fic_jax.params import Law, canonical
 from figures import style
-from figures.paper import look, studies
+from figures.paper import look
 
 PEAKS = (0.06, 0.11, 0.2)  # rad: before x0, at xb, where the older law asks for more than Fmax
 NODES = 2001  # samples of a branch; a jump at x0 is drawn within one of them
@@ -46,7 +46,7 @@ class Switches:
     convergence: tuple[Branch, ...]  # from each peak; the last sample is the switch
 
 
-def compute(law: Law, params: Params = studies.PAPER, peaks: tuple[float, ...] = PEAKS) -> Switches:
+def compute(law: Law, params: Params = look.PAPER, peaks: tuple[float, ...] = PEAKS) -> Switches:
     """Both branches at each peak, in float64."""
     with jax.enable_x64(True):
         p, model = canonical(params), Model(law=law)
@@ -58,8 +58,8 @@ def compute(law: Law, params: Params = studies.PAPER, peaks: tuple[float, ...] =
             if diverging:
                 return Branch(np.asarray(e), np.asarray(limited), np.asarray(limited))
             free = replace(p, Fmax=jnp.inf)
-            asked = jax.vmap(lambda e: torque(e, attractor, free))
-            return Branch(np.asarray(e), np.asarray(limited), np.asarray(asked(e)))
+            unlimited = jax.vmap(lambda e: torque(e, attractor, free))
+            return Branch(np.asarray(e), np.asarray(limited), np.asarray(unlimited(e)))
 
         convergence = tuple(branch(peak, False) for peak in peaks)
         return Switches(law, params, branch(max(peaks), True), convergence)
@@ -106,10 +106,10 @@ def _draw(ax: Axes, law: Switches) -> None:
     ax.plot(up.e, up.torque, color=look.DIVERGENCE, lw=1.4, label="divergence")
     colour = look.CONVERGENCE
     for i, (down, jump) in enumerate(zip(law.convergence, jumps(law), strict=True)):
-        asked, given = ("before the limit", "convergence") if i == 0 else (None, None)
-        ax.plot(down.e, down.torque, color=colour, lw=1.0, ls=(0, (3, 1)), label=given)
+        before, limited = ("before the limit", "convergence") if i == 0 else (None, None)
+        ax.plot(down.e, down.torque, color=colour, lw=1.0, ls=(0, (3, 1)), label=limited)
         beyond = np.where(np.abs(down.unlimited) > Fmax, down.unlimited, np.nan)
-        ax.plot(down.e, beyond, color=colour, lw=1.0, ls=(0, (1, 1)), label=asked)
+        ax.plot(down.e, beyond, color=colour, lw=1.0, ls=(0, (1, 1)), label=before)
         e, after = down.e[-1], down.unlimited[-1]
         ax.plot([e, e], [after - jump, after], color="0.15", lw=0.8, marker="o", ms=2.5)
         text = "no jump" if abs(jump) < LEAST_JUMP else f"jump {_signed(jump)}"
@@ -125,10 +125,6 @@ def _signed(jump: float) -> str:
     return f"{jump:+.1f} N·m".replace("-", "−")
 
 
-def main(folder: Path = look.FOLDER) -> list[str]:
-    """Compute the branches under both laws and write the figure."""
-    return [look.write(plot(tuple(compute(law) for law in TITLES)), folder, "superposition")]
-
-
-if __name__ == "__main__":
-    main()
+def figures() -> Iterator[tuple[str, Figure]]:
+    """The branches under both laws."""
+    yield "superposition", plot(tuple(compute(law) for law in TITLES))

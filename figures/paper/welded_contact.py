@@ -1,6 +1,6 @@
 """Normalised torque error over K0 and Td (fig:4): welded beside hard stop."""
 
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -11,13 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from fic_jax import Model
-from fic_jax.params import Contact
 from figures import style
-from figures.paper import look, studies
+from figures.paper import look
+from sweeps.paper.scenarios import measured, scenarios
 
-TORQUES = (1.0, 5.0, 10.0, 20.0)  # N*m, Td
-CONTACTS: tuple[Contact, ...] = ("welded", "hard_stop")  # left, right
-TITLES = {"welded": "welded", "hard_stop": "contact (hard stop)"}
+TITLES = {"welded": "welded", "hard_stop": "contact (hard stop)"}  # left, right
 ROWS = {"nmse": "whole run", "nmse_tail": "last 5 s"}
 # What the text states, by panel: "below 1e-1", "below 1e-4", "about 1e-1 even at the regime".
 STATED = {
@@ -30,15 +28,14 @@ SPREAD = 0.66  # of the distance between two Td, taken by the markers of one
 
 def simulate(step: float) -> xr.Dataset:
     """Both columns; `xd` 0 is the true distance of the environment, 0.001 rad the 1 % error."""
-    estimates = (0.0, studies.ESTIMATE_ERROR)
-    grid = {"xd": estimates, "K0": studies.STIFFNESSES, "Td": TORQUES}
-    contacts = [studies.metrics(grid, model=Model(contact=c), step=step) for c in CONTACTS]
-    return xr.concat(contacts, xr.Variable("contact", list(CONTACTS)), combine_attrs="override")
+    rows = scenarios("paper-welded", "paper-contact", xd=(0.0, look.ESTIMATE_ERROR), period=[step])
+    cells = measured(rows, Model(), step).set_index(["contact", "xd", "K0", "Td"])
+    return cells[list(ROWS)].to_xarray().assign_attrs(period=step)
 
 
 def plot(data: xr.Dataset) -> Figure:
     """nmse above, nmse_tail below; both columns share the logarithmic scales."""
-    columns = [str(c) for c in data["contact"].values]
+    columns = list(TITLES)
     with rc_context(style.RC):
         fig = Figure(figsize=(style.PAGE_WIDTH, 4.2))
         shape: dict[str, Any] = {"squeeze": False, "height_ratios": (1.0, 1.5)}
@@ -53,7 +50,7 @@ def plot(data: xr.Dataset) -> Figure:
             ax.set_title(TITLES[contact])
         for ax in grid[-1]:
             ax.set_xlabel(look.label("Td"))
-        fig.suptitle(studies.told_step(data))
+        fig.suptitle(look.step(data.attrs["period"]))
         fig.legend(handles=_legend(data), loc="outside right upper", frameon=False)
     return fig
 
@@ -97,7 +94,7 @@ def _legend(data: xr.Dataset) -> list[Line2D]:
         Line2D([], [], ls="", marker=m, color=c, ms=4, label=look.values("K0", [K0])[0])
         for K0, c, m in named
     ]
-    texts = {0.0: "exact contact", studies.ESTIMATE_ERROR: "1 % error"}
+    texts = {0.0: "exact contact", look.ESTIMATE_ERROR: "1 % error"}
     for estimate in data["xd"].values:
         kind = _kind(estimate)
         text = f"{texts[float(estimate)]},\n{look.values('xd', [estimate])[0]}"
@@ -106,13 +103,7 @@ def _legend(data: xr.Dataset) -> list[Line2D]:
     return [*lines, Line2D([], [], label="stated in the text", **dashes)]
 
 
-def main(folder: Path = look.FOLDER) -> list[str]:
-    """Simulate both columns at either step and write a figure of each."""
-    return [
-        look.write(plot(simulate(step)), folder, "mse_contact" + ending)
-        for ending, step in studies.STEPS.items()
-    ]
-
-
-if __name__ == "__main__":
-    main()
+def figures() -> Iterator[tuple[str, Figure]]:
+    """Both columns at either step."""
+    for ending, step in look.STEPS.items():
+        yield f"mse_contact{ending}", plot(simulate(step))

@@ -1,6 +1,7 @@
-"""What the command line says, as lines of text. Prints nothing."""
+"""What the commands print, as lines of text."""
 
 import math
+import shlex
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -8,89 +9,91 @@ import numpy as np
 
 from sweeps.plan.grid import Grid
 from sweeps.runner import Progress
-from sweeps.spec.types import SweepError, shown
-from sweeps.store.format import size
+from sweeps.spec.mistakes import SweepError, printable
+from sweeps.store.format import DIVERGED, size
 from sweeps.store.ledger import Row, intact
-from sweeps.store.opening import DIVERGED, Store, Tally
+from sweeps.store.opening import Counts, Store
 from sweeps.store.verify import Report
 
-LISTED = 20  # damaged files
-NAMED = 5  # blocks or scenarios named before it becomes "and so many more"
+MAX_PROBLEMS = 20  # damaged files that `verify` names
+MAX_NAMED = 5  # failed blocks, or diverged scenarios, that `status` names
 
 
 def plan_lines(grid: Grid, dtype: str) -> list[str]:
-    """What a sweep comes to: scenarios, blocks, bytes."""
+    """The size of a sweep: scenarios, blocks, bytes."""
     shape = " x ".join(str(n) for n in grid.block_shape)
     estimates = ", error estimates included" if grid.sweep.error_estimate else ""
     return [
         f"{_dims(grid)} = {grid.cells:,} scenarios of {grid.sweep.n_steps:,} steps",
         f"{grid.n_blocks:,} blocks of up to {shape}",
-        f"{_size(size(grid, dtype))} on disk before compression{estimates}",
+        f"{_bytes(size(grid, dtype))} on disk before compression{estimates}",
     ]
 
 
 def expectation(grid: Grid, compiling: float, rate: float) -> str:
-    """How long a sweep will take, from seconds to compile and scenarios a second."""
+    """How long a sweep will take, from seconds to compile a model and scenarios a second."""
     choices = grid.sweep.model.values()
-    programs = math.prod(len(choice) for choice in choices if isinstance(choice, list))
-    seconds = programs * compiling + grid.cells / rate
+    models = math.prod(len(choice) for choice in choices if isinstance(choice, list))
+    seconds = models * compiling + grid.cells / rate
     speed = f"{rate:,.0f} scenarios/s ({rate * grid.sweep.n_steps / 1e6:,.0f} M steps/s)"
     return f"about {_duration(seconds)} at {speed} on this machine, measured just now"
 
 
 def status_lines(store: Store) -> list[str]:
-    """How far a store is and what made it."""
-    tally, attrs, grid = Tally.of(store), store.group.attrs.asdict(), store.grid
-    done = tally.done
+    """How far a store is, and which program made it on which device."""
+    counts, attrs, grid = Counts.of(store), store.group.attrs.asdict(), store.grid
+    diverged = _diverged(store) if counts.cells["diverged"] else ()
+    trusted = [_trusted(store, counts)] if grid.sweep.error_estimate else []
+    made_by = f"fic_jax {attrs['fic_jax']} ({attrs['revision']}), jax {attrs['jax']}"
     return [
         f"{store.path}: {grid.sweep.name}, {_dims(grid)}",
-        f"done      {done:,} of {grid.cells:,} cells ({_share(done, grid.cells)})",
-        *(f"  {name:8}{count:>14,}" for name, count in tally.cells.items()),
-        *(f"diverged  {told}" for told in _diverged(store)),
-        *(f"failed    {told}" for told in set_aside_lines(store, tally.set_aside)),
-        *(f"trusted   {told}" for told in _trusted(store, tally)),
-        f"blocks    {len(tally.pending):,} of {grid.n_blocks:,} to do",
-        shown(f"began     {attrs['start']}, ended {attrs.get('end', 'not yet')}"),
-        shown(f"made by   fic_jax {attrs['fic_jax']} ({attrs['revision']}), jax {attrs['jax']}"),
-        shown(f"on        {attrs['device']}, {attrs['dtype']}"),
+        f"done      {counts.done:,} of {grid.cells:,} cells ({_percent(counts.done, grid.cells)})",
+        *(f"  {name:8}{count:>14,}" for name, count in counts.cells.items()),
+        *(f"diverged  {scenario}" for scenario in diverged),
+        *(f"failed    {block}" for block in _set_aside(store, counts.set_aside)),
+        *(f"trusted   {share}" for share in trusted),
+        f"blocks    {len(counts.pending):,} of {grid.n_blocks:,} to do",
+        printable(f"began     {attrs['start']}, ended {attrs.get('end', 'not yet')}"),
+        printable(f"made by   {made_by}"),
+        printable(f"on        {attrs['device']}, {attrs['dtype']}"),
     ]
 
 
-def set_aside_lines(store: Store, rows: Sequence[Row]) -> Iterator[str]:
-    """Which blocks could not be computed, where they are, and why."""
-    for row in rows[:NAMED]:
-        where = ", ".join(_stretch(store.grid, row.block))
-        yield f"block {row.block} ({where}) after {row.attempt} attempts: {shown(row.error)}"
-    if len(rows) > NAMED:
-        yield f"and {many(len(rows) - NAMED, 'more block')}"
+def _set_aside(store: Store, rows: Sequence[Row]) -> Iterator[str]:
+    """Blocks that failed: number, values along each dimension, error."""
+    for row in rows[:MAX_NAMED]:
+        where = ", ".join(_ends(store.grid, row.block))
+        yield f"block {row.block} ({where}) after {row.attempt} attempts: {printable(row.error)}"
+    if len(rows) > MAX_NAMED:
+        yield f"and {counted(len(rows) - MAX_NAMED, 'more block')}"
 
 
-def _stretch(grid: Grid, index: int) -> Iterator[str]:
-    """What a block covers along each dimension."""
+def _ends(grid: Grid, index: int) -> Iterator[str]:
+    """The first and the last value of a block along each dimension."""
     for dim, part in zip(grid.dims, grid.block(index), strict=True):
         first, last = _value(grid, dim, part.start), _value(grid, dim, part.stop - 1)
         yield f"{dim} {first}" + (f" to {last}" if last != first else "")
 
 
 def _diverged(store: Store) -> Iterator[str]:
-    """The first diverged scenarios by name."""
-    left = NAMED
+    """The values of the first diverged scenarios. Raises SweepError if a block is damaged."""
+    left = MAX_NAMED
     for row in store.rows():
         if not row.diverged or not left:
             continue
-        block, stamp = store.grid.block(row.block), row.files.get("status")
-        if stamp and not intact(store.file("status", row.block), stamp):
+        block, checksum = store.grid.block(row.block), row.files.get("status")
+        if checksum and not intact(store.file("status", row.block), checksum):
             raise store.damaged(f"block {row.block} is not as it was written")
-        found = np.argwhere(np.asarray(store.array("status")[block]) == DIVERGED)[:left]
-        for place in found:
+        places = np.argwhere(np.asarray(store.array("status")[block]) == DIVERGED)[:left]
+        for place in places:
             cell = [part.start + int(i) for part, i in zip(block, place, strict=True)]
-            at = zip(store.grid.dims, cell, strict=True)
-            yield ", ".join(f"{dim} {_value(store.grid, dim, i)}" for dim, i in at)
-        left -= len(found)
+            values = zip(store.grid.dims, cell, strict=True)
+            yield ", ".join(f"{dim} {_value(store.grid, dim, i)}" for dim, i in values)
+        left -= len(places)
 
 
 def _value(grid: Grid, dim: str, index: int) -> str:
-    """The value at one place of a dimension; a scenario has its number only."""
+    """The value at an index of a dimension; for `scenario` the index itself."""
     if dim == "scenario":
         return str(index)
     value = grid.coordinates(dim, slice(index, index + 1))[dim][0]
@@ -108,78 +111,81 @@ def progress_line(progress: Progress) -> str:
 
 def log_line(progress: Progress) -> str:
     """How far a run is, for a log."""
-    share = _share(progress.done, progress.cells)
-    failed = f"; {many(len(progress.set_aside), 'block')} failed" if progress.set_aside else ""
+    share = _percent(progress.done, progress.cells)
+    failed = f"; {counted(len(progress.set_aside), 'block')} failed" if progress.set_aside else ""
     return f"{progress.done:,} of {progress.cells:,} ({share}) {progress_line(progress)}{failed}"
 
 
 def summary(store: Store, result: Progress) -> str:
-    """What a run did."""
+    """What a run has done."""
     if not result.ran and not result.set_aside:
         return f"{store.path}: complete already, {result.cells:,} scenarios"
     rate = result.ran / result.seconds
     steps = rate * store.grid.sweep.n_steps / 1e6
     speed = f", {rate:,.0f}/s ({steps:,.0f} M steps/s)" if steps >= 1 else ""
     diverged = f", {result.diverged:,} diverged" if result.diverged else ""
-    told = [f"{result.ran:,} scenarios in {_duration(result.seconds)}{speed}{diverged}"]
-    told += [f"trusted {text}" for text in _trusted(store, Tally.of(store))]
-    return f"{store.path}: {'; '.join(told)}"
+    parts = [f"{result.ran:,} scenarios in {_duration(result.seconds)}{speed}{diverged}"]
+    if store.grid.sweep.error_estimate:
+        parts.append(f"trusted {_trusted(store, Counts.of(store))}")
+    return f"{store.path}: {'; '.join(parts)}"
 
 
-def failure(store: Store, result: Progress) -> Iterator[str]:
-    """What a run could not compute, and how to try again."""
-    blocks = f"{many(len(result.set_aside), 'block')} of {store.grid.n_blocks:,}"
-    yield f"{blocks} failed and set aside; `fic-sweep resume {store.path}` tries again"
-    yield from set_aside_lines(store, result.set_aside)
+def failed_blocks(store: Store, result: Progress) -> Iterator[str]:
+    """Which blocks a run could not compute, and how to try again."""
+    blocks = f"{counted(len(result.set_aside), 'block')} of {store.grid.n_blocks:,}"
+    yield f"{blocks} failed and set aside; {_resume(store)} tries again"
+    yield from _set_aside(store, result.set_aside)
 
 
 def verification(path: Path, report: Report) -> Iterator[str]:
-    """What was looked at, and each thing that is not as it was written."""
-    looked = f"{path}: {many(report.files, 'file')}"
+    """How many files `verify` has read, and each that is not as it was written."""
+    files = counted(report.files, "file")
     if report.blocks is not None:
-        looked = f"{path}: {many(report.blocks, 'block')}, {many(report.files, 'file')}"
-    if report.problems:
-        yield f"{looked}: {len(report.problems):,} not as written"
-    else:
-        yield f"{looked}: all as written"
-    yield from (f"  {problem.what} {problem.how}" for problem in report.problems[:LISTED])
-    if len(report.problems) > LISTED:
-        yield f"  and {len(report.problems) - LISTED:,} more"
+        files = f"{counted(report.blocks, 'block')}, {files}"
+    result = f"{len(report.problems):,} not as written" if report.problems else "all as written"
+    yield f"{path}: {files}: {result}"
+    yield from (f"  {problem.what} {problem.how}" for problem in report.problems[:MAX_PROBLEMS])
+    if len(report.problems) > MAX_PROBLEMS:
+        yield f"  and {len(report.problems) - MAX_PROBLEMS:,} more"
     if report.blocks is None:
-        yield "  its blocks can be looked at once that is mended"
+        yield "  the blocks can be verified once this is repaired"
     elif report.blocks < report.planned:
-        yield f"  {many(report.planned - report.blocks, 'block')} still to run"
+        yield f"  {counted(report.planned - report.blocks, 'block')} still to run"
 
 
-def interruption(store: Store, error: BaseException) -> str:
-    """Why a run ended early, what is kept and how to go on."""
+def interrupted(store: Store, error: BaseException) -> str:
+    """Why a run ended early, how many blocks are done, and how to continue."""
     why = "interrupted" if isinstance(error, KeyboardInterrupt) else f"failed: {_reason(error)}"
-    total, go_on = store.grid.n_blocks, f"`fic-sweep resume {store.path}` does the rest"
+    total, rest = store.grid.n_blocks, f"{_resume(store)} does the rest"
     try:
-        kept = total - len(Tally.of(store).pending)
-    except (OSError, SweepError):  # the folder is gone, or not ours any more
-        return f"{why}; what was finished is kept if the folder is, {go_on}"
-    return f"{why}; {kept} of {total} blocks are kept, {go_on}"
+        done = total - len(Counts.of(store).pending)
+    except (OSError, SweepError):  # the folder is gone, or has become unreadable
+        return f"{why}; what was finished is kept if the folder is, {rest}"
+    return f"{why}; {done} of {total} blocks are kept, {rest}"
 
 
-def refusal(path: Path, error: OSError) -> str:
-    """What the system refused while a store was changed, or looked at."""
+def _resume(store: Store) -> str:
+    """The command that continues a store, quoted for a shell."""
+    return f"`fic-sweep resume {shlex.quote(str(store.path))}`"
+
+
+def system_error(path: Path, error: OSError) -> str:
+    """What the system refused while a command changed or read a store."""
     return f"{path}: failed: {_reason(error)}; what was finished is kept"
 
 
 def _reason(error: BaseException) -> str:
-    """What the system said, and about which file."""
-    told = getattr(error, "strerror", None) or str(error)
-    about = getattr(error, "filename", None)
-    return f"{about}: {told}" if about else told
+    """The system's words, after the file they are about."""
+    words = getattr(error, "strerror", None) or str(error)
+    file = getattr(error, "filename", None)
+    return f"{file}: {words}" if file else words
 
 
-def _trusted(store: Store, tally: Tally) -> Iterator[str]:
-    """How many of the cells done are trusted, where the store can tell."""
-    if store.grid.sweep.error_estimate:
-        share = f"{tally.trusted:,} of {tally.done:,} cells ({_share(tally.trusted, tally.done)})"
-        bound = float(str(store.group.attrs["trust_bound"]))
-        yield f"{share}, nmse known to {100 * bound:g} %"
+def _trusted(store: Store, counts: Counts) -> str:
+    """How many of the finished cells are trusted, in a store with error estimates."""
+    share = f"{counts.trusted:,} of {counts.done:,} cells ({_percent(counts.trusted, counts.done)})"
+    bound = float(str(store.group.attrs["trust_bound"]))
+    return f"{share}, nmse known to {100 * bound:g} %"
 
 
 def _dims(grid: Grid) -> str:
@@ -195,7 +201,7 @@ def _duration(seconds: float) -> str:
     return f"{minutes // 60:.0f} h {minutes % 60:.0f} min"
 
 
-def _size(n: float) -> str:
+def _bytes(n: float) -> str:
     for unit in ("B", "kB", "MB", "GB"):
         if n < 1000:
             return f"{n:.3g} {unit}"
@@ -203,10 +209,10 @@ def _size(n: float) -> str:
     return f"{n:.3g} TB"
 
 
-def many(n: int, word: str) -> str:
-    """A number of things, the word in its right form."""
-    return f"{n:,} {word}" + ("" if n == 1 else "s")
+def counted(n: int, noun: str) -> str:
+    """A number with its noun: 1 block, 2 blocks."""
+    return f"{n:,} {noun}" + ("" if n == 1 else "s")
 
 
-def _share(part: int, whole: int) -> str:
+def _percent(part: int, whole: int) -> str:
     return f"{100 * part / max(whole, 1):.4g} %"

@@ -1,1 +1,17 @@
-"""`fic-sweep report`: the paper's claims, measured, judged and written down."""
+"""`fic-sweep report`: the paper's claims, measured, judged and written down.
+
+| file | what it holds |
+|---|---|
+| scenarios.py | the paper's scenarios: rows of a table, with their metrics or time histories |
+| claims/ | a file of words and queries for each claim, C1.md to C15.md; their tables |
+| judge.py | from a claim's table to its verdict |
+| findings/ | studies beyond the claims: their data, tables and words |
+| words.py | reads the files of words and computes the numbers in them |
+| pages.py, page.md, page.css | the report as Markdown and HTML |
+| report.py | the whole: stores, verdicts, findings, pictures, pages |
+| loop.py, formulas.py | the loop, linearised; closed forms for it |
+| accepted.py | runs whose steps a variable-step solver chooses |
+| superposition.py | several controllers on one inertia |
+
+scenarios → claims → judge → pages → report, and beside the claims findings → pages.
+"""

@@ -5,12 +5,12 @@ paper's of contact (ode23t). Simulink's default step limit is the simulated time
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import xarray as xr
 from scipy.integrate import RK23, OdeSolver, Radau
 
 from fic_jax import Model, Params, init
@@ -28,33 +28,26 @@ MODEL = Model(contact="hard_stop")
 MOST_STEPS = 20_000
 
 
-@dataclass(frozen=True)
-class Steps:
-    """One run: a row for each accepted step of the solver."""
+def accepted_steps(p: Params, solver: type[OdeSolver], limit: float = LIMIT) -> xr.Dataset:
+    """A run with Algorithms 1 and 2 once per accepted step of a variable-step solver of scipy.
 
-    t: np.ndarray  # s
-    tau_env: np.ndarray  # N*m
-
-    def tail_nmse(self, Td: float) -> float:
-        """Normalised mean square error over the second half, by the trapezoidal rule in time."""
-        t = np.union1d(self.t[self.t > T_END / 2], T_END / 2)
-        eps = np.interp(t, self.t, self.tau_env) / Td - 1.0
-        return float(np.trapezoid(eps**2, t) / (t[-1] - t[0]))
-
-    def highest_in_tail(self) -> float:
-        """Largest torque over the second half, N*m."""
-        return float(self.tau_env[self.t > T_END / 2].max())
-
-    def rise_in_tail(self) -> float:
-        """By how much the torque rises over the second half, N*m."""
-        return float(self.tau_env[-1] - np.interp(T_END / 2, self.t, self.tau_env))
-
-
-def accepted_steps(p: Params, solver: type[OdeSolver], limit: float = LIMIT) -> Steps:
-    """A run with Algorithms 1 and 2 once per accepted step of a variable-step solver of scipy."""
+    `t` (s) and `tau_env` (N*m) over the steps k. Of the second half of the run: `tail`, nmse by the
+    trapezoidal rule in time; `highest`, the largest torque, N*m; `rising`, by how much it rises.
+    """
     with jax.enable_x64(True):
-        rows = np.array(list(_rows(canonical(p), solver, limit)))
-    return Steps(rows[:, 0], rows[:, 1])
+        t, tau_env = np.array(list(_rows(canonical(p), solver, limit))).T
+    middle = float(np.interp(T_END / 2, t, tau_env))
+    late = np.concatenate([[T_END / 2], t[t > T_END / 2]])
+    eps = np.interp(late, t, tau_env) / float(p.Td) - 1.0
+    return xr.Dataset(
+        {
+            "t": ("k", t),
+            "tau_env": ("k", tau_env),
+            "tail": np.trapezoid(eps**2, late) / (late[-1] - late[0]),
+            "highest": tau_env[t > T_END / 2].max(),
+            "rising": tau_env[-1] - middle,
+        }
+    )
 
 
 def _rows(p: Params, solver: type[OdeSolver], limit: float) -> Iterator[tuple[float, float]]:

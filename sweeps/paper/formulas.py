@@ -50,7 +50,7 @@ def gain_for(tail: float, p: Params, t_end: float) -> float:
 
 
 def overshoot_stiffness(p: Params) -> Floats:
-    """K0 below which the joint overshoots its rest and turns, N*m/rad; nobody turns where r = 1.
+    """K0 below which the joint overshoots its rest and turns, N*m/rad; where r = 1 no joint turns.
 
         K0 < (r - 1)/(2 r) (Kenv - 2 sigma Denv/period)
 
@@ -84,8 +84,8 @@ def search_resolution(p: Params) -> Floats:
         sigma = min(0.4, max(period Denv/I, 0.1 period w (1 + 2 K0/Kenv))),  w^2 = (Kenv + 2 K0)/I
 
     Shape from the loop: where damping rules, T follows the reference like an integrator of gain
-    2 K0 g with the lag I/Denv, and 2 K0 g is kept at twice 1/lag. Where stiffness rules the gain is
-    g 2 K0 Kenv/(2 K0 + Kenv) and is kept at a fifth of the natural frequency w. At last, a tick may
+    2 K0 g with the lag I/Denv, and 2 K0 g is set to twice 1/lag. Where stiffness rules the gain is
+    g 2 K0 Kenv/(2 K0 + Kenv) and is set to a fifth of the natural frequency w. At last, a tick may
     make good 0.8 of the error. The three numbers are fitted to the sweep `search-resolution`.
     """
     K, Kenv = 2.0 * np.asarray(p.K0), np.asarray(p.Kenv)

@@ -1,23 +1,24 @@
 """The closed loop linearised on one branch: Algorithm 2 sampled, the joint between two ticks exact.
 
-While the joint converges with its peak error e_M held, torque, environment and search are linear in
-(x, v, x_h), and one period is one matrix:
+While the joint converges and its peak error e_M is constant, torque, environment and search are
+linear in (x, v, x_h), and one period is one matrix:
 
     y(k+1) = Phi J y(k),   y = (x, v, x_h, 1)
 
 with J the tick of Algorithm 2 and Phi = exp(A period) the motion until the next one. A and J are
-derivatives of the physics' own functions, so that no equation stands here a second time.
+derivatives of the physics' own functions: no equation is written a second time.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import expm
 from numpy.typing import NDArray
+from scipy.linalg import expm
 
 from fic_jax import Model, Params
 from fic_jax.controller import begin_branch, converging_slopes, torque
@@ -36,41 +37,39 @@ TURN = -1e-9  # rad/s; rounding leaves a joint at rest less than this
 LOOK = 0.005  # s, between two looks at the motion; a twentieth of I/Denv and less
 
 
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Loop:
     """Loops of N scenarios on one branch of the controller."""
 
-    motion: Floats  # [N, 4, 4], A of d(x, v, x_h, 1)/dt
-    tick: Floats  # [N, 4, 4], J
-    torque: Floats  # [N, 4], tau_env as a row on (x, v, x_h, 1)
-    start: Floats  # [N, 4]
-    period: Floats  # [N], s
-    Td: Floats  # [N], N*m
-
-    def monodromy(self) -> Floats:
-        """The matrix of one period, from tick to tick, on (x, v, x_h)."""
-        whole = propagator(self.motion, self.period) @ self.tick
-        return whole[:, :3, :3]
+    motion: Any  # [N, 4, 4], A of d(x, v, x_h, 1)/dt
+    tick: Any  # [N, 4, 4], J
+    torque: Any  # [N, 4], tau_env as a row on (x, v, x_h, 1)
+    start: Any  # [N, 4]
+    period: Any  # [N], s
+    Td: Any  # [N], N*m
 
     def spectral_radius(self) -> Floats:
-        """Largest |eigenvalue| of one period; beyond 1 the loop is unstable."""
-        return np.asarray(np.abs(np.linalg.eigvals(self.monodromy())).max(axis=1))
+        """Largest |eigenvalue| of one period on (x, v, x_h); beyond 1 the loop is unstable."""
+        whole = self.after(self.period) @ self.tick
+        return np.asarray(np.abs(np.linalg.eigvals(whole[:, :3, :3])).max(axis=1))
 
-
-def propagator(motion: Floats, seconds: Floats) -> Floats:
-    """exp(A t) of [N] matrices and times."""
-    with jax.enable_x64(True):
-        return np.asarray(_propagator(motion, seconds))
-
-
-@jax.jit
-def _propagator(motion: jax.Array, seconds: jax.Array) -> jax.Array:
-    return jax.vmap(lambda A, t: expm(A * t))(motion, seconds)
+    def after(self, seconds: Floats) -> Floats:
+        """exp(A t) of each scenario's time."""
+        return np.asarray(expm(self.motion * seconds[:, None, None]))
 
 
 def starting(p: Params) -> Loop:
     """The converging loop the joint starts in: at rest at x_init with e_M = Td/K0 + xd - x_init."""
-    return _loops(p, branch="start")
+    return _linearised(p, "start")
+
+
+def resting(p: Params, branch: Literal["diverging", "converging"]) -> Loop:
+    """The loop about rest at T = Td, `diverging` (slope dF_K/de) or `converging` (2 F_K/e).
+
+    The error at rest is the one with F_K(e) = Td, below xb.
+    """
+    return _linearised(p, branch)
 
 
 def first_branch(p: Params) -> tuple[Floats, Floats, Floats]:
@@ -85,28 +84,11 @@ def first_branch(p: Params) -> tuple[Floats, Floats, Floats]:
 
 
 @jax.jit
-def _first_branch(batch: Params) -> tuple[jax.Array, jax.Array, jax.Array]:
-    def one(p: Params) -> tuple[jax.Array, jax.Array, jax.Array]:
-        e_M = expected_reference(p) - p.x_init
-        slopes = converging_slopes(e_M, p, Model(law="algorithm1"))
-        return force(e_M, p) / p.Td, slopes.outer, slopes.inner
-
-    return jax.vmap(one)(batch)
-
-
-def resting(p: Params, branch: str) -> Loop:
-    """The loop about rest at T = Td, `diverging` (slope dF_K/de) or `converging` (2 F_K/e).
-
-    The error at rest is the one with F_K(e) = Td, below xb.
-    """
-    return _loops(p, branch=branch)
-
-
-def _loops(p: Params, branch: str) -> Loop:
-    with jax.enable_x64(True):
-        batch = _columns(p)
-        motion, tick, row, start = (np.asarray(part) for part in _linearised(batch, branch))
-    return Loop(motion, tick, row, start, np.asarray(batch.period), np.asarray(batch.Td))
+@jax.vmap
+def _first_branch(p: Params) -> tuple[jax.Array, ...]:
+    e_M = expected_reference(p) - p.x_init
+    slopes = converging_slopes(e_M, p, Model(law="algorithm1"))
+    return force(e_M, p) / p.Td, slopes.outer, slopes.inner
 
 
 def _columns(p: Params) -> Params:
@@ -115,16 +97,20 @@ def _columns(p: Params) -> Params:
     return canonical(Params(*columns))
 
 
+def _linearised(p: Params, branch: str) -> Loop:
+    with jax.enable_x64(True):
+        return jax.tree.map(np.asarray, _loops(_columns(p), branch))
+
+
 @partial(jax.jit, static_argnames="branch")
-def _linearised(batch: Params, branch: str) -> tuple[jax.Array, ...]:
-    return jax.vmap(partial(_one, branch=branch))(batch)
+def _loops(p: Params, branch: str) -> Loop:
+    return jax.vmap(partial(_one, branch=branch))(p)
 
 
-def _one(p: Params, branch: str) -> tuple[jax.Array, ...]:
+def _one(p: Params, branch: str) -> Loop:
     x_h = expected_reference(p)
     e_M = x_h - p.x_init if branch == "start" else _error_at_rest(p)
-    attractor = begin_branch(e_M, jnp.asarray(True), e_M, p, LINEAR)
-    attractor = replace(attractor, diverging=jnp.asarray(branch == "diverging"))
+    attractor = begin_branch(e_M, jnp.asarray(branch == "diverging"), e_M, p, LINEAR)
     # Where the torque is short of Fmax: the converging branch is linear, any such error will do.
     e = e_M if branch == "diverging" else 0.75 * e_M
     at = jnp.stack([x_h - e, jnp.zeros_like(e), x_h])
@@ -142,9 +128,12 @@ def _one(p: Params, branch: str) -> tuple[jax.Array, ...]:
         x_h, _ = explore(y[2], jnp.zeros((), jnp.int32), past_contact, touch(y), p, p.period)
         return jnp.stack([y[0], y[1], x_h])
 
+    def square(f: Callable[[jax.Array], jax.Array], corner: float) -> jax.Array:
+        return jnp.concatenate([_affine(f, at), jnp.zeros((1, 4)).at[0, 3].set(corner)])
+
     row = _affine(lambda y: touch(y)[None], at)[0]
     start = jnp.stack([x_h - e_M, jnp.zeros_like(e), x_h, jnp.ones_like(e)])
-    return _square(_affine(motion, at), 0.0), _square(_affine(tick, at), 1.0), row, start
+    return Loop(square(motion, 0.0), square(tick, 1.0), row, start, p.period, p.Td)
 
 
 def _error_at_rest(p: Params) -> jax.Array:
@@ -165,42 +154,32 @@ def _affine(f: Callable[[jax.Array], jax.Array], at: jax.Array) -> jax.Array:
     return jnp.column_stack([slope, f(at) - slope @ at])
 
 
-def _square(rows: jax.Array, corner: float) -> jax.Array:
-    return jnp.concatenate([rows, jnp.zeros((1, 4)).at[0, 3].set(corner)])
-
-
 def response(loop: Loop, t_end: float) -> tuple[Flags, Floats]:
     """Whether v turns negative within t_end, and nmse over the second half (Td < Fmax)."""
     looks = np.clip(np.ceil(loop.period / LOOK), 1, None).astype(int)  # in one period
-    between = propagator(loop.motion, loop.period / looks)
-    ticks = np.round(t_end / loop.period).astype(int)
+    total = looks * np.round(t_end / loop.period).astype(int)
     with jax.enable_x64(True):
-        ends = (looks, looks * ticks)
-        turns, square = _followed(loop.start, loop.tick, between, loop.torque, loop.Td, *ends)
-    return np.asarray(turns), np.asarray(square) / (ends[1] - ends[1] // 2)
+        turns, square = _followed(loop, loop.after(loop.period / looks), looks, total)
+    return np.asarray(turns), np.asarray(square) / (total - total // 2)
 
 
 @jax.jit
 def _followed(
-    start: jax.Array,
-    tick: jax.Array,
-    between: jax.Array,
-    row: jax.Array,
-    Td: jax.Array,
-    looks: jax.Array,
-    total: jax.Array,
+    loop: Loop, between: jax.Array, looks: jax.Array, total: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
+    """Whether v turns, and the sum of the squared torque errors of the second half."""
+
     def body(i: jax.Array, carry: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
         y, turns, square = carry
         # the first tick sets x_h to xd + Td/K0, where it is
         ticks = (i % looks == 0) & (i > 0)
-        y = jnp.where(ticks[:, None], jnp.einsum("nij,nj->ni", tick, y), y)
+        y = jnp.where(ticks[:, None], jnp.einsum("nij,nj->ni", loop.tick, y), y)
         y = jnp.einsum("nij,nj->ni", between, y)
-        eps = (row * y).sum(axis=1) / Td - 1.0
+        eps = (loop.torque * y).sum(axis=1) / loop.Td - 1.0
         tail = (i >= total // 2) & (i < total)
         turns = turns | ((i < total) & ~(y[:, 1] >= TURN))
         return y, turns, square + jnp.where(tail, eps**2, 0.0)
 
-    begin = (start, jnp.zeros(Td.shape, bool), jnp.zeros_like(Td))
+    begin = (loop.start, jnp.zeros(loop.Td.shape, bool), jnp.zeros_like(loop.Td))
     _, turns, square = jax.lax.fori_loop(0, total.max(), body, begin)
     return turns, square

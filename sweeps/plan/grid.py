@@ -1,4 +1,4 @@
-"""The plan: a sweep's dimensions, its blocks, and the scenarios of a block from its own indices."""
+"""A sweep's cells in blocks, and the scenarios of one block."""
 
 import math
 from collections.abc import Iterator
@@ -9,32 +9,34 @@ from typing import Any, cast
 import numpy as np
 
 from fic_jax import QUANTITIES, Model, Params
-from sweeps.plan.design import draw
-from sweeps.spec.types import Sweep, SweepError
+from sweeps.plan.random_design import draw
+from sweeps.spec.mistakes import SweepError
+from sweeps.spec.types import Sweep
 
-# A block is the unit of work, of storage and of what an interruption costs: a second or two, unless
-# a scenario is so long that the smallest block takes more.
-BLOCK_STEPS = 300_000_000
-SMALLEST_BLOCK, LARGEST_BLOCK = 4_096, 1_000_000
-MAX_BLOCKS = 1_000_000  # of a sweep: files in one folder, rows of a ledger that is read whole
-MAX_BLOCK = 10_000_000  # cells of a block: it is held in memory, 1 GB with all metrics and errors
-ESTIMATE_COST = 6  # times the work of a scenario: two runs, one of smaller steps with events
+# The engine computes one block at a time, the store keeps it in one file for each variable, and an
+# interruption costs at most one. A block takes a second or two, or longer if its SMALLEST_BLOCK
+# scenarios have very many steps.
+BLOCK_STEPS = 300_000_000  # plant steps
+SMALLEST_BLOCK, LARGEST_BLOCK = 4_096, 1_000_000  # cells
+MAX_BLOCKS = 1_000_000  # of a sweep: each is a file in every variable's folder and a ledger row
+MAX_BLOCK = 10_000_000  # cells of a block: all metrics and errors of it take 1 GB of memory
+ESTIMATE_COST = 6  # an error estimate adds a run with half the step and located switches
 
 Block = tuple[slice, ...]
 
 
 @dataclass(frozen=True)
 class Grid:
-    """The cells of a sweep in blocks of at most `chunk` cells; no array of them ever exists.
+    """The cells of a sweep, in blocks of at most `chunk` cells.
 
-    Dimensions in order: model choices given as lists, axes, `case`, `scenario`.
+    A cell is one scenario's place in the product of the sweep's dimensions. Raises SweepError if
+    `chunk` makes too many blocks for a ledger or a block too large for memory.
     """
 
     sweep: Sweep
-    chunk: int | None = None  # cells of a block; chosen from the number of steps if None
+    chunk: int | None = None  # most cells of a block; None: as many as take a second or two
 
     def __post_init__(self) -> None:
-        """Refuse what no ledger or no memory holds. Raises SweepError."""
         for what, n, most in (
             ("blocks", self.n_blocks, MAX_BLOCKS),
             ("cells in a block", math.prod(self.block_shape), MAX_BLOCK),
@@ -45,8 +47,8 @@ class Grid:
 
     @cached_property
     def dims(self) -> dict[str, int]:
-        """Name and length of each dimension."""
-        return dims_of(self.sweep)
+        """Name and length of each dimension, in order."""
+        return self.sweep.dims
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -58,25 +60,24 @@ class Grid:
 
     @property
     def block_cells(self) -> int:
-        """Cells that a block may have."""
+        """The most cells a block may have."""
         if self.chunk:
             return self.chunk
-        chosen = min(max(BLOCK_STEPS // self.work, SMALLEST_BLOCK), LARGEST_BLOCK)
-        return max(chosen, 4 * self.cells // MAX_BLOCKS)  # halving makes them up to 4 times smaller
+        cells = min(max(BLOCK_STEPS // self.work, SMALLEST_BLOCK), LARGEST_BLOCK)
+        return max(cells, 4 * self.cells // MAX_BLOCKS)  # halving may make blocks 4 times smaller
 
     @property
     def work(self) -> int:
-        """What a scenario costs, in plant steps without an estimate."""
+        """Cost of a scenario, in plant steps of a run without an error estimate."""
         return self.sweep.n_steps * (ESTIMATE_COST if self.sweep.error_estimate else 1)
 
     @cached_property
     def block_shape(self) -> tuple[int, ...]:
-        """Near-cubic blocks: the longest side is halved until a block fits.
+        """Cells of a block along each dimension: the longest side is halved until a block fits.
 
-        One model to a block, since another model is another program.
+        All cells of a block have the same model, because each model is its own compiled program.
         """
-        choices = self.sweep.model
-        sides = [1 if isinstance(choices.get(d), list) else n for d, n in self.dims.items()]
+        sides = [1 if dim in self.sweep.model else n for dim, n in self.dims.items()]
         while math.prod(sides) > self.block_cells:
             longest = sides.index(max(sides))
             sides[longest] = -(-sides[longest] // 2)
@@ -84,7 +85,7 @@ class Grid:
 
     @cached_property
     def counts(self) -> tuple[int, ...]:
-        """Blocks along each dimension."""
+        """Number of blocks along each dimension."""
         return tuple(-(-n // b) for n, b in zip(self.shape, self.block_shape, strict=True))
 
     @property
@@ -92,72 +93,59 @@ class Grid:
         return math.prod(self.counts)
 
     def place(self, index: int) -> tuple[int, ...]:
-        """Where a block is in the grid of blocks; they are numbered in storage order."""
+        """A block's index along each dimension; along the last one, numbers are consecutive."""
         return tuple(int(i) for i in np.unravel_index(index, self.counts))
 
     def block(self, index: int) -> Block:
-        """The cells of a block, a slice per dimension."""
-        sides = zip(self.place(index), self.block_shape, self.shape, strict=True)
-        return tuple(slice(i * b, min((i + 1) * b, n)) for i, b, n in sides)
+        """The cells of a block: a slice along each dimension."""
+        dims = zip(self.place(index), self.block_shape, self.shape, strict=True)
+        return tuple(slice(i * side, min((i + 1) * side, n)) for i, side, n in dims)
 
     def blocks(self) -> Iterator[Block]:
-        """The blocks in storage order."""
+        """All blocks, in the order of their numbers."""
         return (self.block(index) for index in range(self.n_blocks))
 
     def model(self, block: Block) -> Model:
-        """The model of a block."""
-        chosen: dict[str, str] = {}
-        place = dict(zip(self.dims, block, strict=True))
-        for name, choice in self.sweep.model.items():
-            chosen[name] = choice[place[name].start] if isinstance(choice, list) else choice
+        """The model that all scenarios of a block share."""
+        start = {dim: part.start for dim, part in zip(self.dims, block, strict=True)}
+        choices = self.sweep.model.items()
+        chosen = {n: c[start[n]] if isinstance(c, list) else c for n, c in choices}
         return Model(**cast(Any, chosen))
 
-    def params(self, block: Block, dtype: str | None = None) -> Params:
-        """The scenarios of a block, flat in storage order; constant fields stay scalars.
+    def params(self, block: Block, dtype: str = "float64") -> Params:
+        """The scenarios of a block: swept fields are arrays [cells], the last dimension fastest.
 
-        What varies is of `dtype`, or as the sweep has it.
+        Fields that do not vary are scalars. All are of `dtype`.
         """
         shape = shape_of(block)
-        columns: dict[str, Any] = dict(self.sweep.constants)
+        fields: dict[str, Any] = vars(Params()) | self.sweep.constants
         for i, (dim, part) in enumerate(zip(self.dims, block, strict=True)):
             for name, values in self.coordinates(dim, part).items():
                 if name in QUANTITIES:
                     sides = [-1 if j == i else 1 for j in range(len(shape))]
                     along = np.asarray(values, dtype).reshape(sides)
-                    columns[name] = np.broadcast_to(along, shape).reshape(-1)
-        return Params(**columns)
+                    fields[name] = np.broadcast_to(along, shape).reshape(-1)
+        return Params(**{name: np.asarray(value, dtype) for name, value in fields.items()})
 
     def coordinates(self, dim: str, part: slice = slice(None)) -> dict[str, np.ndarray]:
-        """What varies along a dimension: name -> values over the indices `part`."""
+        """Values at the indices `part` of all that varies along a dimension, by name."""
         sweep = self.sweep
         start, stop, _ = part.indices(self.dims[dim])
         if dim in sweep.axes:
             return {dim: sweep.axis_values(dim, part)}
         if dim == "case":
-            columns = {name: np.array(column)[start:stop] for name, column in sweep.cases.items()}
+            columns = {name: np.array(column)[part] for name, column in sweep.cases.items()}
             return {"case": np.arange(start, stop)} | columns
         if dim == "scenario" and sweep.sample:
             return draw(sweep.sample, start, stop)
-        return {dim: np.array(sweep.model[dim])[start:stop]}
-
-
-def dims_of(sweep: Sweep) -> dict[str, int]:
-    """Name and length of each dimension of a sweep."""
-    dims = {name: len(c) for name, c in sweep.model.items() if isinstance(c, list)}
-    for name, axis in sweep.axes.items():
-        dims[name] = len(axis) if isinstance(axis, list) else axis.n
-    if sweep.cases:
-        dims["case"] = len(next(iter(sweep.cases.values())))
-    if sweep.sample:
-        dims["scenario"] = sweep.sample.n
-    return dims
+        return {dim: np.array(sweep.model[dim])[part]}
 
 
 def shape_of(block: Block) -> tuple[int, ...]:
-    """Cells of a block along each dimension."""
+    """Number of cells of a block along each dimension."""
     return tuple(part.stop - part.start for part in block)
 
 
 def cells_of(block: Block) -> int:
-    """Scenarios of a block."""
+    """Number of scenarios of a block."""
     return math.prod(shape_of(block))

@@ -1,4 +1,4 @@
-"""From the text of a sweep file to a checked Sweep, or to a clear line for each thing wrong."""
+"""From the text of a sweep file, or the record in a store, to a checked Sweep."""
 
 import re
 import tomllib
@@ -8,33 +8,35 @@ from typing import Any
 from pydantic import ValidationError
 
 from sweeps.spec import rules
+from sweeps.spec.mistakes import SweepError, explain, explain_toml, printable
 from sweeps.spec.overrides import override
-from sweeps.spec.types import Sweep, SweepError, shown
-from sweeps.spec.wording import explain, syntax
+from sweeps.spec.types import Sweep
 
-MAX_FILE = 1_000_000  # bytes: the TOML reader takes 4 s for a list that long; a range is short
-MAX_PARTS = 20  # of a dotted key: the reader's time goes with their square; a sweep has four
-MAX_KEYS = 1_000  # of a file: each wrong one is a line and a search for what was meant
-MAX_TOLD = 20  # mistakes
+MAX_FILE = 1_000_000  # bytes: the TOML reader takes 4 s for a list that long
+MAX_PARTS = 20  # of a dotted key: the reader takes time with their square; a sweep has four
+MAX_KEYS = 1_000  # of a file: each wrong one costs a line and a search for a similar name
+MAX_MISTAKES = 20  # lines of a SweepError; a last line counts the rest
 
 
 def load(path: Path, overrides: tuple[str, ...] = ()) -> Sweep:
-    """Read and validate a sweep file. Raises SweepError, one line for each problem."""
+    """Read and check a sweep file. Raises SweepError, with a line for each mistake."""
     try:
-        with path.open("rb") as file:  # not all of it: it could be a device without an end
+        with path.open("rb") as file:  # a device has no end: read no more than may be used
             content = file.read(MAX_FILE + 1)
         if len(content) > MAX_FILE:
             raise SweepError(f"{path}: must be at most {MAX_FILE:,} bytes long, but is longer.")
-        text = content.decode("utf-8-sig")  # some editors write a mark
+        text = content.decode("utf-8-sig")  # some editors write a byte order mark
     except FileNotFoundError:
         raise SweepError(f"{path}: there is no such file") from None
     except (OSError, ValueError) as error:
-        raise SweepError(f"{shown(str(path))}: can't be read: {shown(str(error))}") from None
+        raise SweepError(
+            f"{printable(str(path))}: can't be read: {printable(str(error))}"
+        ) from None
     return parse(text, str(path), overrides)
 
 
 def parse(text: str, source: str, overrides: tuple[str, ...] = ()) -> Sweep:
-    """Validate the text of a sweep file; `source` names it in messages."""
+    """Check the text of a sweep file. Raises SweepError; each line begins with `source`."""
     if len(text) > MAX_FILE:
         raise SweepError(f"{source}: must be at most {MAX_FILE:,} letters long, but is longer.")
     if _LONG_KEY.search(text):
@@ -42,10 +44,10 @@ def parse(text: str, source: str, overrides: tuple[str, ...] = ()) -> Sweep:
     try:
         raw = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise SweepError(f"{source}: {shown(syntax(str(error), text))}") from None
+        raise SweepError(f"{source}: {printable(explain_toml(str(error), text))}") from None
     except RecursionError:
         raise SweepError(f"{source}: not valid TOML: nested too deeply") from None
-    except ValueError:  # Python reads 4300 digits
+    except ValueError:  # Python converts at most 4300 digits
         raise SweepError(f"{source}: not valid TOML: a number of thousands of digits") from None
     for assignment in overrides:
         override(raw, assignment)
@@ -53,27 +55,27 @@ def parse(text: str, source: str, overrides: tuple[str, ...] = ()) -> Sweep:
 
 
 def validate(raw: dict[str, Any], source: str) -> Sweep:
-    """Turn a plain record into a Sweep, or raise SweepError."""
+    """Check a plain record. Raises SweepError; each line begins with `source`."""
     if _more_keys_than(raw, MAX_KEYS):
         raise SweepError(f"{source}: must have at most {MAX_KEYS:,} keys, but has more.")
     try:
         sweep = Sweep.model_validate(raw)
     except ValidationError as errors:
-        raise _refusal(source, [explain(error) for error in errors.errors()]) from None
-    # in stages: what is wrong with a name says nothing more about its values
+        raise _mistakes(source, [explain(error) for error in errors.errors()]) from None
+    # stop at the first stage with a mistake: the values of an unknown field can't be checked
     for stage in (rules.unknown_names, rules.placement, rules.time_grid, rules.out_of_bounds):
-        problems = list(stage(sweep))
-        if problems:
-            raise _refusal(source, problems)
+        lines = list(stage(sweep))
+        if lines:
+            raise _mistakes(source, lines)
     return sweep
 
 
-def _refusal(source: str, problems: list[str]) -> SweepError:
-    """A line for each thing wrong, but not thousands."""
-    told = [shown(problem) for problem in problems[:MAX_TOLD]]
-    if len(problems) > MAX_TOLD:
-        told.append(f"and {len(problems) - MAX_TOLD:,} more mistakes")
-    return SweepError("\n".join(f"{source}: {line}" for line in told))
+def _mistakes(source: str, lines: list[str]) -> SweepError:
+    """All mistakes as one error of at most MAX_MISTAKES + 1 lines."""
+    first = [printable(line) for line in lines[:MAX_MISTAKES]]
+    if len(lines) > MAX_MISTAKES:
+        first.append(f"and {len(lines) - MAX_MISTAKES:,} more mistakes")
+    return SweepError("\n".join(f"{source}: {line}" for line in first))
 
 
 _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
@@ -83,13 +85,13 @@ _LONG_KEY = re.compile(
 
 
 def _more_keys_than(raw: Any, most: int) -> bool:
-    """Whether a record has too many keys in all its tables, be they nested in lists."""
-    left, n = [raw], 0
-    while left and n <= most:
-        value = left.pop()
+    """Whether a record has more than `most` keys in all its tables, those in lists included."""
+    todo, n = [raw], 0
+    while todo and n <= most:
+        value = todo.pop()
         if isinstance(value, dict):
             n += len(value)
-            left.extend(value.values())
+            todo.extend(value.values())
         elif isinstance(value, list):
-            left.extend(one for one in value if isinstance(one, dict | list))
+            todo.extend(one for one in value if isinstance(one, dict | list))
     return n > most

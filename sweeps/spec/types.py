@@ -1,7 +1,5 @@
-"""The sweep record: the types of a sweep file and what they stand for."""
+"""The records of a sweep file: a Sweep and its tables."""
 
-import difflib
-from collections.abc import Iterable
 from typing import Annotated, Any, Literal, Self, cast
 
 import numpy as np
@@ -18,49 +16,29 @@ from pydantic import (
 
 from fic_jax import METRICS, Params
 
-MAX_AXIS = 10_000_000  # values of one axis: they are held in memory, the grid is not
-MAX_PERIODS = 1_000_000  # of them where each is checked against dt
-MAX_CASES = 10_000  # rows of [cases]: written by hand
-MAX_CELLS = 10**12  # of a sweep: 4 TB for each variable in 32 bits
-MAX_CHOSEN = 100  # names in a list: there are fewer to choose from
-MAX_SHOWN = 300  # letters of somebody else's text in a message
-MAX_STEPS = 100_000_000  # plant steps are counted in int32
-# Fields that take part in a check of more than one field (xb > x0, Fmax, the stiffest scenario).
+MAX_AXIS = 10_000_000  # values of one axis: memory holds them all, but never the grid
+MAX_PERIODS = 1_000_000  # values of a `period` axis: each is compared with dt
+MAX_CASES = 10_000  # rows of [cases]: a person writes them
+MAX_CELLS = 10**12  # scenarios of a sweep: each float32 variable then takes 4 TB
+MAX_NAMES = 100  # metrics or choices in a list: fic_jax has fewer
+MAX_STEPS = 100_000_000  # plant steps: the engine counts them in int32
+# Fields that share a check with another field: xb > x0, K0 x0 > Fmax, the stiffest scenario.
 COUPLED = ("K0", "Fmax", "x0", "xb", "S", "I", "Kenv", "Denv")
-STORED = tuple(name for name in METRICS if name != "finite")  # `status` in the store tells that
+STORED = tuple(name for name in METRICS if name != "finite")  # the store has `status` instead
 
 Number = Annotated[float, Strict(), AllowInfNan(False)]
 Count = Annotated[int, Strict(), Field(ge=2, le=MAX_AXIS)]
 Method = Literal["sobol", "lhs", "random"]
 
 
-class SweepError(Exception):
-    """A request that can't be run; its text is one clear line for each thing wrong."""
-
-
-def shown(text: str) -> str:
-    """Somebody else's text as a part of one line: nothing a terminal obeys, and not all of it."""
-    cut = text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}..."
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in cut)
-
-
-def suggest(word: str, known: Iterable[str]) -> str:
-    """'; did you mean `x`?' for the nearest known word, or an empty string."""
-    if len(word) > MAX_SHOWN:  # comparing takes time with the square of the length
-        return ""
-    lower = {name.lower(): name for name in known}
-    near = difflib.get_close_matches(word.lower(), lower, n=1, cutoff=0.5)
-    return f"; did you mean `{lower[near[0]]}`?" if near else ""
-
-
 class Record(BaseModel):
-    """Base of the tables of a sweep file: no unknown keys, no changes."""
+    """Base of the tables of a sweep file: frozen, without unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Span(Record):
-    """A range of values: `{ log = [a, b] }` or `{ lin = [a, b] }`."""
+class Range(Record):
+    """All values between two ends: `{ log = [a, b] }` or `{ lin = [a, b] }`."""
 
     log: tuple[Number, Number] | None = None
     lin: tuple[Number, Number] | None = None
@@ -82,7 +60,7 @@ class Span(Record):
         return cast(tuple[float, float], self.log or self.lin)
 
     def at(self, fraction: np.ndarray) -> np.ndarray:
-        """Values at fractions 0..1 of the range, on its own scale; the ends come out exactly."""
+        """Values at fractions 0..1 of the range, on its scale; 0 and 1 give the exact ends."""
         a, b = self.ends
         if self.lin:
             inside = a + (b - a) * fraction
@@ -91,42 +69,42 @@ class Span(Record):
         return np.where(fraction == 0.0, a, np.where(fraction == 1.0, b, inside))
 
 
-class Spacing(Span):
-    """An axis of `n` values evenly spaced over a range, both ends included."""
+class SpacedRange(Range):
+    """`n` values evenly spaced over a range, both ends included."""
 
     n: Count
 
     def values(self, part: slice = slice(None)) -> np.ndarray:
-        """The values at the indices `part`, the same whatever else is asked for."""
+        """The values at the indices `part`; a value does not depend on `part`."""
         start, stop, _ = part.indices(self.n)
         return self.at(np.arange(start, stop) / (self.n - 1))
 
     @property
     def outermost(self) -> np.ndarray:
-        """The ends and what is nearest to zero: a bound that holds for these holds for all."""
+        """Both ends and the values around zero: if any value breaks a bound, one of these does."""
         a, b = self.ends
-        near = np.zeros(0)
+        around_zero = np.zeros(0)
         if a * b < 0:
             zero = int(a / (a - b) * (self.n - 1))
-            near = self.values(slice(max(zero - 1, 0), zero + 3))
-        return np.concatenate([[a], near, [b]])
+            around_zero = self.values(slice(max(zero - 1, 0), zero + 3))
+        return np.concatenate([[a], around_zero, [b]])
 
     @property
     def distinct(self) -> bool:
-        """Whether all values differ by more than their rounding."""
+        """Whether neighbouring values differ by more than their rounding."""
         a, b = np.log(self.ends) if self.log else np.array(self.ends)
         size = max(abs(a), abs(b)) + (1 if self.log else 0)
         return bool(abs(b - a) / (self.n - 1) > 4 * np.finfo(float).eps * size)
 
 
-# Of a list the first wrong element is told: all of them could be too many to hold.
+# fail_fast: a list of a million wrong values gives one mistake, not a million.
 Values = Annotated[list[Number], Field(fail_fast=True, min_length=1, max_length=MAX_AXIS)]
 Column = Annotated[list[Number], Field(fail_fast=True, min_length=1, max_length=MAX_CASES)]
-Names = Annotated[list[str], Field(fail_fast=True, min_length=1, max_length=MAX_CHOSEN)]
-# The tag keeps a wrong value from being explained twice, once for each alternative.
+Names = Annotated[list[str], Field(fail_fast=True, min_length=1, max_length=MAX_NAMES)]
+# The tag chooses one alternative, so that pydantic explains a wrong value once, not twice.
 Axis = Annotated[
-    Annotated[Values, Tag("list")] | Annotated[Spacing, Tag("table")],
-    Discriminator(lambda given: "table" if isinstance(given, dict | Spacing) else "list"),
+    Annotated[Values, Tag("list")] | Annotated[SpacedRange, Tag("table")],
+    Discriminator(lambda given: "table" if isinstance(given, dict | SpacedRange) else "list"),
 ]
 Choice = Annotated[
     Annotated[str, Tag("text")] | Annotated[Names, Tag("list")],
@@ -135,80 +113,90 @@ Choice = Annotated[
 
 
 class Time(Record):
-    """The time grid, shared by all scenarios of a sweep."""
+    """Table `[time]`: the time grid that all scenarios of a sweep share."""
 
     dt: Annotated[Number, Field(gt=0)] = 0.01  # s, plant step
     t_end: Annotated[Number, Field(gt=0)] = 10.0  # s
 
 
-class Sample(Record):
-    """A random design instead of axes: `n` scenarios drawn from the ranges."""
+class RandomDesign(Record):
+    """Table `[sample]`: `n` scenarios drawn at random from ranges, instead of axes."""
 
-    n: Annotated[int, Strict(), Field(ge=1, le=2**32)]  # a 32-bit Sobol sequence's length
+    n: Annotated[int, Strict(), Field(ge=1, le=2**32)]  # length of a 32-bit Sobol sequence
     method: Method = "sobol"
-    seed: Annotated[int, Strict(), Field(ge=0, lt=2**63)] = 0  # as TOML's whole numbers
-    ranges: Annotated[dict[str, Span], Field(min_length=1)]
+    seed: Annotated[int, Strict(), Field(ge=0, lt=2**63)] = 0  # the largest TOML integer
+    ranges: Annotated[dict[str, Range], Field(min_length=1)]
 
 
 class Sweep(Record):
-    """Everything that decides a sweep's numbers, but for the program and its precision."""
+    """A sweep file. With the program and the precision it determines every number of a store."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
     description: Annotated[str, Field(max_length=10_000)] = ""
     metrics: Names = list(STORED)
-    error_estimate: Annotated[bool, Strict()] = False  # also store how wrong each metric may be
+    error_estimate: Annotated[bool, Strict()] = False  # also store the error of each metric
     time: Time = Time()
     model: dict[str, Choice] = {}
     constants: dict[str, Number] = {}
     axes: dict[str, Axis] = {}
     cases: dict[str, Column] = {}
-    sample: Sample | None = None
+    sample: RandomDesign | None = None
 
     @property
     def n_steps(self) -> int:
         return round(self.time.t_end / self.time.dt)
 
+    @property
+    def dims(self) -> dict[str, int]:
+        """Name and length of each dimension, in order: model lists, axes, `case`, `scenario`."""
+        dims = {name: len(c) for name, c in self.model.items() if isinstance(c, list)}
+        for name, axis in self.axes.items():
+            dims[name] = axis.n if isinstance(axis, SpacedRange) else len(axis)
+        if self.cases:
+            dims["case"] = len(next(iter(self.cases.values())))
+        if self.sample:
+            dims["scenario"] = self.sample.n
+        return dims
+
     def axis_values(self, name: str, part: slice = slice(None)) -> np.ndarray:
         """Values of an axis at the indices `part`."""
         axis = self.axes[name]
-        return axis.values(part) if isinstance(axis, Spacing) else np.array(axis[part])
+        return axis.values(part) if isinstance(axis, SpacedRange) else np.array(axis[part])
 
     def record(self) -> str:
-        """The sweep as JSON: what a store keeps, and what two sweeps are compared by.
+        """The sweep as JSON. A store keeps this text and compares sweeps by it.
 
-        An attribute of the store tells of estimates: they change no number, and programs older
-        than them read the record too.
+        `error_estimate` is an attribute of the store instead: it changes no metric, and older
+        programs refuse a record that has it.
         """
         return self.model_dump_json(exclude_none=True, exclude={"error_estimate"})
 
-    def given(self) -> dict[str, dict[str, np.ndarray]]:
-        """Every field the sweep sets: section -> name -> its values, of a range what bounds it."""
+    def values_to_check(self) -> dict[str, dict[str, np.ndarray]]:
+        """Table -> field -> values. If any value of the field breaks a bound, one of these does."""
         ranges = self.sample.ranges if self.sample else {}
-        axes = {name: self._bounding(name) for name in self.axes}
         return {
             "constants": {name: np.array([value]) for name, value in self.constants.items()},
-            "axes": axes,
+            "axes": {name: self._axis_values_to_check(name) for name in self.axes},
             "cases": {name: np.array(column) for name, column in self.cases.items()},
-            "sample.ranges": {name: np.array(span.ends) for name, span in ranges.items()},
+            "sample.ranges": {name: np.array(range_.ends) for name, range_ in ranges.items()},
         }
 
-    def _bounding(self, name: str) -> np.ndarray:
-        """Values of an axis that break any bound of one field, if one does."""
+    def _axis_values_to_check(self, name: str) -> np.ndarray:
         axis = self.axes[name]
         if isinstance(axis, list) or (name == "period" and axis.n <= MAX_PERIODS):
-            return self.axis_values(name)  # a period in between may be no multiple of dt
+            return self.axis_values(name)  # any single period may be no multiple of dt
         return axis.outermost
 
     def extremes(self) -> Params:
-        """Params with a leaf for each case and each combination of the axes' ends.
+        """Params [N]: each case with each combination of the axes' smallest and largest values.
 
-        Only of the fields that bounds couple: any two of them meet at their worst in here.
+        Only COUPLED fields vary. A check of two fields that fails anywhere in the sweep fails here.
         """
-        given = self.given()
-        columns: dict[str, Any] = {name: v[0] for name, v in given["constants"].items()}
-        swept = given["axes"] | given["sample.ranges"]
+        tables = self.values_to_check()
+        columns: dict[str, Any] = {name: v[0] for name, v in tables["constants"].items()}
+        swept = tables["axes"] | tables["sample.ranges"]
         ends = {n: np.array([v.min(), v.max()]) for n, v in swept.items() if n in COUPLED}
-        cases = {name: column for name, column in given["cases"].items() if name in COUPLED}
+        cases = {name: column for name, column in tables["cases"].items() if name in COUPLED}
         n_cases = max((len(column) for column in cases.values()), default=1)
         index = np.indices((n_cases, *(2 for _ in ends))).reshape(1 + len(ends), -1)
         columns |= {name: v[i] for (name, v), i in zip(ends.items(), index[1:], strict=True)}

@@ -1,9 +1,4 @@
-"""How a block gets into a store, so that it is there whole or not at all.
-
-1. each variable's chunk is encoded, 2. written and flushed under a name of its own, 3. renamed to
-its place, 4. the folders are flushed, 5. a row with the checksum of each goes into the ledger.
-Whatever ends the process or the power between two of these, the block is done or it is not.
-"""
+"""Write one block, so that it is in the store whole or not at all (the order: `sweeps.store`)."""
 
 import json
 from collections.abc import Iterator
@@ -20,29 +15,19 @@ from zarr.storage import MemoryStore
 
 from fic_jax import Metrics, trusted
 from sweeps.plan.grid import Grid, cells_of, shape_of
-from sweeps.spec.types import SweepError
-from sweeps.store import format as layout
-from sweeps.store import fsync as durable
-from sweeps.store import ledger as ledgers
-from sweeps.store.ledger import Ledger, Row, Stamp, intact
-from sweeps.store.lock import Owner, owning
-from sweeps.store.opening import (
-    DIVERGED,
-    NO_ESTIMATE,
-    NOT_RUN,
-    NOT_TRUSTED,
-    OK,
-    STATUS,
-    TRUSTED,
-    Store,
-    variable_names,
-)
+from sweeps.spec.mistakes import SweepError
+from sweeps.store import format as store_format
+from sweeps.store import fsync
+from sweeps.store.format import DIVERGED, NO_ESTIMATE, NOT_RUN, NOT_TRUSTED, OK, STATUS, TRUSTED
+from sweeps.store.ledger import CHECKSUM, LEDGER, Checksum, Ledger, Row, intact
+from sweeps.store.lock import Lock, locked
+from sweeps.store.opening import Store
 
 Values = dict[str, np.ndarray]  # of a block: variable -> [N], in storage order
 
 
 class Writer:
-    """What writes the blocks of a store that this process owns."""
+    """Writes blocks into a store that this process has locked."""
 
     def __init__(self, store: Store) -> None:
         if store.ledger is None:
@@ -50,14 +35,14 @@ class Writer:
         self.store, self.ledger = store, store.ledger
 
     def commit(self, values: Values, row: Row) -> Row:
-        """Write a block, then its row, with what is counted here; returns the row.
+        """Write a block's files, then its row with counts and checksums; returns the row.
 
         Raises OSError; the block then has no row.
         """
         files = {name: self._encode(row.block, name, values[name]) for name in self.store.variables}
-        # a row of a block done in part, or set aside, is about files that are now replaced
-        self.ledger.forget([row.block])
-        durable.write({self.store.file(name, row.block): files[name] for name in files})
+        # The old row of a block that is done in part, or set aside, describes the old files.
+        self.ledger.delete([row.block])
+        fsync.write({self.store.file(name, row.block): files[name] for name in files})
         _, ok, diverged, failed = np.bincount(values["status"], minlength=len(STATUS)).tolist()
         row = replace(
             row,
@@ -66,23 +51,24 @@ class Writer:
             failed=failed,
             trusted=int(np.sum(values["trusted"] == TRUSTED)),
             at=now(),
-            files={name: Stamp.of(content) for name, content in files.items()},
+            files={name: Checksum.of(content) for name, content in files.items()},
         )
-        self.ledger.add([row])
+        self.ledger.insert([row])
         return row
 
-    def ended(self) -> None:
-        """Note when the store was finished, for whoever opens it next."""
-        place = self.store.path / "zarr.json"
-        content = json.loads(place.read_bytes())
+    def end(self) -> None:
+        """Write the time at which the store was finished into its attributes."""
+        path = self.store.path / "zarr.json"
+        content = json.loads(path.read_bytes())
         content["attributes"]["end"] = now()
         encoded = json.dumps(content, indent=2).encode()
-        self.ledger.fix([("zarr.json", encoded)])  # first: `verify --repair` goes by the ledger
-        durable.write({place: encoded})
+        # the ledger first: `verify --repair` restores what the ledger has
+        self.ledger.insert_metadata([("zarr.json", encoded)])
+        fsync.write({path: encoded})
 
     def _encode(self, index: int, name: str, values: np.ndarray) -> bytes:
-        """A block of a variable as the bytes of its file."""
-        block, array = self.store.grid.block(index), self._twins[name]
+        """The content of a block's file."""
+        block, array = self.store.grid.block(index), self._arrays[name]
         array[block] = values.reshape(shape_of(block)).astype(array.dtype, copy=False)
         return self._memory.pop(f"{name}/{self.store.file(name, index).name}").to_bytes()
 
@@ -91,82 +77,75 @@ class Writer:
         return {}
 
     @cached_property
-    def _twins(self) -> dict[str, zarr.Array[Any]]:
-        """The variables once more, in memory: zarr encodes, and writing is ours."""
+    def _arrays(self) -> dict[str, zarr.Array[Any]]:
+        """The variables in memory: Zarr encodes there, and `fsync.write` writes."""
         grid, dtype, memory = self.store.grid, self.store.dtype, MemoryStore(self._memory)
         return {
-            name: zarr.create_array(memory, **layout.variable(grid, name, dtype))
+            name: zarr.create_array(memory, **store_format.variable(grid, name, dtype))
             for name in self.store.variables
         }
 
 
 def values_of(metrics: Metrics, errors: Metrics | None) -> Values:
-    """What is stored of scenarios: a diverged one keeps no metrics, and its status says why."""
-    finite = metrics.finite
-    values = _without(~finite, metrics)
-    values["trusted"] = np.full(finite.shape, NO_ESTIMATE)
+    """The variables of computed scenarios. A diverged one has NaN metrics."""
+    finite, values = metrics.finite, dict(vars(metrics))
+    trust = np.full(finite.shape, NO_ESTIMATE)
     if errors is not None:
-        values |= {f"{name}_error": v for name, v in _without(~finite, errors).items()}
+        values |= {f"{name}_error": value for name, value in vars(errors).items()}
         flags = np.where(trusted(metrics, errors), TRUSTED, NOT_TRUSTED)
-        values["trusted"] = np.where(finite, flags, NO_ESTIMATE)
-    return values | {"status": np.where(finite, OK, DIVERGED)}
-
-
-def _without(diverged: np.ndarray, metrics: Metrics) -> Values:
-    """Metrics with NaN for the diverged; few blocks have any, and copies take their time."""
-    values = vars(metrics)
-    if not diverged.any():
-        return dict(values)
-    return {name: np.where(diverged, np.nan, value) for name, value in values.items()}
+        trust = np.where(finite, flags, NO_ESTIMATE)
+    if not finite.all():  # in few blocks: copies take time
+        values = {name: np.where(finite, value, np.nan) for name, value in values.items()}
+    return values | {"trusted": trust, "status": np.where(finite, OK, DIVERGED)}
 
 
 def no_values(grid: Grid, index: int) -> Values:
-    """A block of which nothing is known."""
+    """The variables of a block that was not run."""
     n = cells_of(grid.block(index))
     flags = {"status": np.full(n, NOT_RUN), "trusted": np.full(n, NO_ESTIMATE)}
-    return {name: np.full(n, np.nan) for name in variable_names(grid.sweep)} | flags
+    return {name: np.full(n, np.nan) for name in store_format.variable_names(grid.sweep)} | flags
 
 
-def kept(store: Store, row: Row) -> Values | None:
-    """The numbers of a block as they were committed; None if its files are not as written."""
-    if not all(intact(store.file(name, row.block), stamp) for name, stamp in row.files.items()):
+def read_block(store: Store, row: Row) -> Values | None:
+    """The variables of a committed block; None if a file changed since."""
+    if not all(intact(*file) for file in store.files(row)):
         return None
-    block, values = store.grid.block(row.block), no_values(store.grid, row.block)
+    block = store.grid.block(row.block)
     stored = {name: np.asarray(store.array(name)[block]).ravel() for name in store.variables}
-    return values | stored
+    return no_values(store.grid, row.block) | stored
 
 
 @contextmanager
-def changing(store: Store) -> Iterator[tuple[Writer, Owner]]:
-    """Own a store and clear away what a killed process left. Raises SweepError, OSError."""
+def writing(store: Store) -> Iterator[tuple[Writer, Lock]]:
+    """Lock a store and delete what a killed process left. Raises SweepError, OSError."""
     writer = Writer(store)
-    for name in (*store.variables, ledgers.NAME):
-        if (store.path / name).is_symlink():  # somebody else's store could write elsewhere
+    for name in (*store.variables, LEDGER):
+        if (store.path / name).is_symlink():  # we would write outside the store
             raise SweepError(f"{store.path}: its {name} is a link; a store is one folder")
-    with owning(store.path) as owner:
+    with locked(store.path) as lock:
         found = zarr.open_group(store.path, mode="r").attrs
         if any(found[key] != store.group.attrs[key] for key in ("sweep", "block_cells")):
             raise SweepError(f"{store.path}: was changed by another process; try again")
-        store.check_frame()
-        (store.path / ledgers.SEAL).unlink(missing_ok=True)
-        # through no link: somebody else's store could have files removed elsewhere
-        inside = (p for p in store.path.iterdir() if p.is_dir() and not p.is_symlink())
-        for folder in (store.path, *inside):
-            for left in folder.glob(f"*{durable.PARTIAL}"):
-                left.unlink()
-        durable.sync(store.path)
+        store.check_metadata()
+        (store.path / CHECKSUM).unlink(missing_ok=True)  # from now on it is out of date
+        # through no link: we would delete files outside the store
+        folders = (p for p in store.path.iterdir() if p.is_dir() and not p.is_symlink())
+        for folder in (store.path, *folders):
+            for partial in folder.glob(f"*{fsync.PARTIAL}"):
+                partial.unlink()
+        fsync.sync(store.path)
         try:
-            yield writer, owner
+            yield writer, lock
         finally:
-            with suppress(OSError):  # it is about bytes that no row uses; the rows have their own
-                seal(writer.ledger)
+            with suppress(OSError):  # rows have checksums of their own
+                write_checksum(writer.ledger)
+
+
+def write_checksum(ledger: Ledger) -> None:
+    """Write the checksum of the whole ledger beside it. Raises OSError."""
+    fsync.write({ledger.path.with_name(CHECKSUM): ledger.checksum()})
 
 
 def now() -> str:
-    """The time of a note."""
+    """The time, as stores have it."""
     return datetime.now(UTC).isoformat(timespec="seconds")
-
-
-def seal(ledger: Ledger) -> None:
-    """Fix the whole ledger by a checksum, as long as nobody writes it. Raises OSError."""
-    durable.write({ledger.path.with_name(ledgers.SEAL): ledger.sealed()})

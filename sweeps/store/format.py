@@ -1,127 +1,107 @@
-"""A new store on disk: its attributes, coordinates and empty variables."""
+"""What a store has on the disk: its arrays, the flags of a cell, its attributes."""
 
-import os
-import shutil
-import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
-from pathlib import Path
+import hashlib
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import zarr
 from zarr.codecs import BloscCodec, Crc32cCodec
 
 from fic_jax import METRICS, QUANTITIES, TRUST
 from sweeps.plan.grid import Grid
-from sweeps.spec.types import Sweep, SweepError
-from sweeps.store import ledger as ledgers
-from sweeps.store import lock as owner
-from sweeps.store.fsync import PARTIAL, sync, sync_tree
-from sweeps.store.ledger import Ledger
-from sweeps.store.lock import owning
-from sweeps.store.opening import (
-    COORDINATE_CHUNK,
-    ERRORS,
-    FLAGS,
-    FORMAT,
-    Store,
-    open_store,
-    sha256,
-    variable_names,
-)
+from sweeps.spec.types import STORED, Sweep
 
-# One folder for each array, so that one look and one flush see all its chunks.
-FLAT: Any = {"name": "default", "separator": "."}
+FORMAT = 2  # raise it with a change that older programs can't read
+
+NOT_RUN, OK, DIVERGED, FAILED = range(4)
+STATUS = {"not run": NOT_RUN, "ok": OK, "diverged": DIVERGED, "failed": FAILED}
+NO_ESTIMATE, NOT_TRUSTED, TRUSTED = range(3)
+TRUSTWORTHY = {"no estimate": NO_ESTIMATE, "not trusted": NOT_TRUSTED, "trusted": TRUSTED}
+FLAGS = {"trusted": TRUSTWORTHY, "status": STATUS}  # flag variables; 0 is the fill value
+FLAG_NAMES = {
+    "trusted": f"whether the estimated error of nmse is at most {100 * TRUST:g} % of nmse",
+    "status": "what became of the scenario",
+}
+ERRORS = {f"{name}_error": name for name in STORED}  # error estimate -> its metric
 ESTIMATE = (
     "Absolute error of the metric beside it, estimated by running the scenario again with half the "
     "plant step and its switches located inside the step; infinite where only one of the two runs "
     "gives a finite metric, NaN where one left the finite numbers."
 )
-MEANING = {  # of the flags
-    "trusted": f"whether the estimated error of nmse is at most {100 * TRUST:g} % of nmse",
-    "status": "what became of the scenario",
-}
+COORDINATE_CHUNK = 1_000_000  # values
+# All chunks of an array in one folder: one scan lists them, one fsync keeps their names.
+FLAT: Any = {"name": "default", "separator": "."}
 
 
-def create(path: Path, grid: Grid, attributes: Mapping[str, Any]) -> Store:
-    """Make an empty store, whole or not at all. Raises SweepError if it can't be."""
-    refuse_existing(path)
-    refuse_small_disk(path, grid, attributes["dtype"])
-    partial, there = path.with_name(f".{path.name}{PARTIAL}"), _existing_parent(path)
-    try:
-        with building(partial):
-            lay_out(partial, grid, attributes)
-            put_in_place(partial, path)
-        for folder in path.absolute().parents:  # those made for it must be on the disk as well
-            if folder.is_relative_to(there) and folder != path.absolute().parent:
-                sync(folder)
-    except OSError as error:
-        raise SweepError(f"{path}: can't be written: {error.strerror or error}") from None
-    return open_store(path)
+def variable_names(sweep: Sweep) -> list[str]:
+    """The variables of a store, in the order they are written."""
+    estimates = [*(f"{name}_error" for name in sweep.metrics), "trusted"]
+    return [*sweep.metrics, *(estimates if sweep.error_estimate else ()), "status"]
 
 
-def refuse_existing(path: Path) -> None:
-    """Raise SweepError where something is in the way of a new store."""
-    if path.exists() or path.is_symlink():
-        store = os.path.isfile(path / "zarr.json")
-        go_on = f"`fic-sweep resume {path}` continues it, " if store else ""
-        raise SweepError(f"{path}: exists already; {go_on}--out names another")
-    if os.path.lexists(away(path)):  # it would be taken for what has to be removed
-        told = f"`fic-sweep resume {path}` finishes its extension, which was cut short"
-        raise SweepError(f"{path}: {told}; --out names another")
+def arrays(grid: Grid, dtype: str) -> Iterator[dict[str, Any]]:
+    """Arguments of `zarr.create_array` for each array of a store: coordinates, then variables."""
+    for dim, length in grid.dims.items():
+        for name, values in grid.coordinates(dim, slice(0, 1)).items():
+            quantity = QUANTITIES.get(name, {"unit": "1", "meaning": name})
+            text = values.dtype.kind == "U"
+            yield {
+                "name": name,
+                "shape": (length,),
+                "chunks": (min(COORDINATE_CHUNK, length),),
+                "dimension_names": [dim],
+                "dtype": np.dtypes.StringDType() if text else values.dtype,
+                "compressors": [Crc32cCodec()] if text else _codecs(8),
+                "chunk_key_encoding": FLAT,
+                "attributes": {"units": quantity["unit"], "long_name": quantity["meaning"]},
+            }
+    for name in variable_names(grid.sweep):
+        yield variable(grid, name, dtype)
 
 
-def away(path: Path) -> Path:
-    """Where a store waits until the larger one has its place."""
-    return path.with_name(f".{path.name}.before")
+def variable(grid: Grid, name: str, dtype: str) -> dict[str, Any]:
+    """Arguments of `zarr.create_array` for a variable."""
+    if name in FLAGS:
+        dtype, fill = "uint8", 0.0
+        attributes = {
+            "long_name": FLAG_NAMES[name],
+            "flag_values": list(FLAGS[name].values()),
+            "flag_meanings": " ".join(word.replace(" ", "_") for word in FLAGS[name]),
+        }
+    else:
+        fill, metric = np.nan, METRICS[ERRORS.get(name, name)]
+        prefix = "estimated error of " if name in ERRORS else ""
+        attributes = {"units": metric["unit"], "long_name": prefix + metric["meaning"]}
+    return {
+        "name": name,
+        "shape": grid.shape,
+        "chunks": grid.block_shape,
+        "dimension_names": list(grid.dims),
+        "dtype": np.dtype(dtype),
+        "fill_value": fill,
+        "compressors": _codecs(np.dtype(dtype).itemsize),
+        "chunk_key_encoding": FLAT,
+        # An all-NaN chunk is a file too: so a missing file always means "not run".
+        "config": {"write_empty_chunks": True},
+        "attributes": attributes,
+    }
 
 
-def refuse_small_disk(path: Path, grid: Grid, dtype: str) -> None:
-    """Raise SweepError where there is no room for a store."""
-    needed, parent = size(grid, dtype), _existing_parent(path)
-    free = shutil.disk_usage(parent).free
-    if needed > free:
-        raise SweepError(
-            f"{path}: the sweep needs up to {needed / 1e9:.3g} GB for {grid.cells:,} cells, "
-            f"but {parent} has {free / 1e9:.3g} GB free"
-        )
-
-
-@contextmanager
-def building(partial: Path) -> Iterator[None]:
-    """A folder to build a store in, owned by this process and gone afterwards if it is left there.
-
-    What a killed process left there is removed first. Raises SweepError where another is at it.
-    """
-    partial.mkdir(parents=True, exist_ok=True)
-    with ExitStack() as held:
-        try:
-            held.enter_context(owning(partial))
-        except OSError:  # where another owned it, it would have been a SweepError
-            shutil.rmtree(partial, ignore_errors=True)
-            raise
-        _clear(partial)
-        try:
-            yield
-        finally:  # an interruption leaves no more behind than an error
-            shutil.rmtree(partial, ignore_errors=True)
-
-
-def put_in_place(partial: Path, path: Path) -> None:
-    """Give a store its name, once all of it is on the disk."""
-    sync_tree(partial)
-    refuse_existing(path)
-    partial.rename(path)
-    sync(path.parent)
-
-
-def _clear(folder: Path) -> None:
-    for left in folder.iterdir():
-        if left.is_dir() and not left.is_symlink():
-            shutil.rmtree(left)
-        elif left.name != owner.NAME:
-            left.unlink()
+def attributes(grid: Grid) -> dict[str, Any]:
+    """The attributes of a store that follow from its sweep."""
+    sweep = grid.sweep
+    record = {
+        "format": FORMAT,
+        "name": sweep.name,
+        "description": sweep.description,
+        "sweep": sweep.record(),
+        "sweep_sha256": sha256(sweep.record()),
+        "block_cells": grid.block_cells,
+        "error_estimate": int(sweep.error_estimate),  # NetCDF knows no booleans
+    }
+    if sweep.error_estimate:
+        record |= {"error_estimate_meaning": ESTIMATE, "trust_bound": TRUST}
+    return record
 
 
 def size(grid: Grid, dtype: str) -> int:
@@ -132,102 +112,12 @@ def size(grid: Grid, dtype: str) -> int:
     return grid.cells * cell + coordinates
 
 
-def _existing_parent(path: Path) -> Path:
-    return next(folder for folder in path.absolute().parents if folder.exists())
-
-
-def lay_out(path: Path, grid: Grid, attributes: Mapping[str, Any]) -> None:
-    """Write the group, the coordinates, the metadata of every variable and an empty ledger."""
-    sweep = grid.sweep
-    record = {
-        "format": FORMAT,
-        "name": sweep.name,
-        "description": sweep.description,
-        "sweep": sweep.record(),
-        "sweep_sha256": sha256(sweep.record()),
-        "block_cells": grid.block_cells,
-    } | _estimate(sweep)
-    group = zarr.create_group(path, attributes=record | dict(attributes))
-    along = [name for dim in grid.dims for name in _write_coordinates(group, grid, dim)]
-    group.attrs.update({"coordinates": " ".join(along)} if along else {})
-    for name in variable_names(sweep):
-        group.create_array(**variable(grid, name, attributes["dtype"]))
-    _consolidate(path)
-    ledger = Ledger.create(path / ledgers.NAME)
-    files = [path / "zarr.json", *sorted(p for p in path.glob("*/*") if p.is_file())]
-    ledger.fix((file.relative_to(path).as_posix(), file.read_bytes()) for file in files)
-
-
-def variable(grid: Grid, name: str, dtype: str) -> dict[str, Any]:
-    """How zarr is to create what a store holds of every cell."""
-    dtype, fill, described = _variable(name, dtype)
-    return {
-        "name": name,
-        "shape": grid.shape,
-        "chunks": grid.block_shape,
-        "dimension_names": list(grid.dims),
-        "dtype": dtype,
-        "fill_value": fill,
-        "compressors": _codecs(np.dtype(dtype).itemsize),
-        "chunk_key_encoding": FLAT,
-        # An all-NaN chunk must be a file too: a missing file then always means "not run".
-        "config": {"write_empty_chunks": True},
-        "attributes": described,
-    }
-
-
-def _consolidate(path: Path) -> None:
-    """One file with all metadata: xarray opens it without a warning, and faster."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Consolidated metadata")  # zarr: not in the v3 standard
-        warnings.filterwarnings("ignore", "Object at owner.lock")  # of this process
-        zarr.consolidate_metadata(path)
-
-
-def _estimate(sweep: Sweep) -> dict[str, Any]:
-    """Whether a store has error estimates (1/0), what they are and when a cell is trusted."""
-    if not sweep.error_estimate:  # a number: NetCDF knows no true and false
-        return {"error_estimate": 0}
-    return {"error_estimate": 1, "error_estimate_meaning": ESTIMATE, "trust_bound": TRUST}
-
-
-def _variable(name: str, dtype: str) -> tuple[str, float, dict[str, Any]]:
-    """Type, fill value and attributes of what a store holds of every cell."""
-    if name in FLAGS:
-        flags = FLAGS[name]
-        words = " ".join(word.replace(" ", "_") for word in flags)
-        described = {"flag_values": list(flags.values()), "flag_meanings": words}
-        return "uint8", 0, {"long_name": MEANING[name]} | described
-    about = METRICS[ERRORS.get(name, name)]
-    prefix = "estimated error of " if name in ERRORS else ""
-    return dtype, np.nan, {"units": about["unit"], "long_name": prefix + about["meaning"]}
+def sha256(record: str) -> str:
+    """The hash of a sweep record: of its text, so that fields of later versions change nothing."""
+    return hashlib.sha256(record.encode()).hexdigest()
 
 
 def _codecs(itemsize: int) -> list[Any]:
-    """Compression with a checksum: Blosc alone reads most flipped bits as wrong numbers."""
-    # lz4: as small as zstd's first level, on metrics, in half of its time
+    """Compression and a CRC: Blosc alone reads most flipped bits as wrong numbers."""
+    # lz4: as small as zstd's first level, on metrics, in half the time
     return [BloscCodec(cname="lz4", clevel=9, shuffle="shuffle", typesize=itemsize), Crc32cCodec()]
-
-
-def _write_coordinates(group: zarr.Group, grid: Grid, dim: str) -> list[str]:
-    """Write what varies along a dimension, piece by piece; returns the names that are no index."""
-    piece, length = COORDINATE_CHUNK, grid.dims[dim]
-    for start in range(0, length, piece):
-        part = slice(start, min(start + piece, length))
-        for name, values in grid.coordinates(dim, part).items():
-            if start == 0:
-                about = QUANTITIES.get(name, {"unit": "1", "meaning": name})
-                group.create_array(
-                    name,
-                    shape=(length,),
-                    chunks=(min(piece, length),),
-                    dtype=str if values.dtype.kind == "U" else values.dtype,
-                    compressors=[Crc32cCodec()] if values.dtype.kind == "U" else _codecs(8),
-                    dimension_names=[dim],
-                    chunk_key_encoding=FLAT,
-                    attributes={"units": about["unit"], "long_name": about["meaning"]},
-                )
-            array = group[name]
-            assert isinstance(array, zarr.Array)
-            array[part] = values
-    return [name for name in grid.coordinates(dim, slice(0, 1)) if name != dim]

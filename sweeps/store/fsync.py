@@ -1,33 +1,35 @@
-"""Files that are whole or not there, and that a power cut leaves in place."""
+"""Put whole files on the disk, so that neither a kill nor a power cut leaves half of one."""
 
 import os
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
-PARTIAL = ".partial"  # ending of a file or folder under way; what is left of one may be removed
+PARTIAL = ".partial"  # suffix of an unfinished file or folder; the next writer may delete it
+
+# O_NOFOLLOW: a store from somebody else may contain a link to a file outside it.
+_NEW = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
 def write(files: Mapping[Path, bytes]) -> None:
-    """Put files on disk, each whole or as it was; once this returns, a power cut loses none.
+    """Write files, each whole or not at all. After the return a power cut loses none.
 
-    Contents first, under names of their own; then, when all are on the disk, their places; then
-    the folders that hold the places. Raises OSError, having removed what it can.
+    Raises OSError, after it has deleted the partial files.
     """
-    partials = {place: place.with_name(place.name + PARTIAL) for place in files}
+    partials = {path: path.with_name(path.name + PARTIAL) for path in files}
     try:
         with ExitStack() as opened:
             descriptors = []
-            for place, content in files.items():
-                descriptor = os.open(partials[place], _NEW, 0o666)
+            for path, content in files.items():
+                descriptor = os.open(partials[path], _NEW, 0o666)
                 opened.callback(os.close, descriptor)
                 _write_all(descriptor, content)
                 descriptors.append(descriptor)
-            for descriptor in descriptors:  # after all are written: the disk takes them together
+            for descriptor in descriptors:  # after all writes: the disk takes them together
                 os.fsync(descriptor)
-        for place, partial in partials.items():
-            os.replace(partial, place)
-        for folder in dict.fromkeys(place.parent for place in files):
+        for path, partial in partials.items():
+            os.replace(partial, path)
+        for folder in dict.fromkeys(path.parent for path in files):
             sync(folder)
     except OSError:
         for partial in partials.values():
@@ -37,7 +39,7 @@ def write(files: Mapping[Path, bytes]) -> None:
 
 
 def sync(path: Path) -> None:
-    """Bring a file, or the names in a folder, onto the disk."""
+    """Fsync a file, or a folder and so the names in it."""
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(descriptor)
@@ -46,17 +48,13 @@ def sync(path: Path) -> None:
 
 
 def sync_tree(folder: Path) -> None:
-    """Bring a folder and all that is in it onto the disk."""
+    """Fsync a folder and everything in it."""
     for path in folder.rglob("*"):
         sync(path)
     sync(folder)
 
 
-# No link is followed out of a store: a store can come from somebody else.
-_NEW = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW | os.O_CLOEXEC
-
-
 def _write_all(descriptor: int, content: bytes) -> None:
     left = memoryview(content)
-    while left:  # the kernel may take a part only
+    while left:  # one call may write a part only
         left = left[os.write(descriptor, left) :]

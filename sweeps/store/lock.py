@@ -1,73 +1,72 @@
-"""The one process that may change a store."""
+"""One process at a time changes a store."""
 
 import fcntl
 import json
 import os
 import socket
-import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from sweeps.spec.types import SweepError, shown
+from sweeps.spec.mistakes import SweepError, printable
 
-NAME = "owner.lock"
+LOCK = "owner.lock"
 
 
 @dataclass(frozen=True)
-class Owner:
-    """What a process holds while it changes a store."""
+class Lock:
+    """The lock of a store, held by this process."""
 
     descriptor: int
-    died_at: int | None  # block that the owner before had in hand when it was killed
+    killed_in: int | None  # the block that the last process computed when it was killed
 
-    def takes(self, block: int) -> None:
-        """Note the block in hand, for whoever comes after a kill. Not flushed: it is a hint."""
+    def computing(self, block: int) -> None:
+        """Note the block that this process computes, for the next one after a kill.
+
+        Without fsync: the note is a hint.
+        """
         with suppress(OSError):
-            _note(self.descriptor, block)
+            _write(self.descriptor, block)
 
 
 @contextmanager
-def owning(folder: Path) -> Iterator[Owner]:
-    """Own a store, or refuse: the lock goes with the process, however that ends.
+def locked(folder: Path) -> Iterator[Lock]:
+    """Lock a folder. The system releases the lock when the process ends, also by a kill.
 
-    Raises SweepError naming the process that has it, OSError where nothing can be written.
+    Raises SweepError with the process that holds it, OSError if the folder can't be written.
     """
+    # O_NOFOLLOW: a link could make us overwrite a file outside the store
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
-    descriptor = os.open(folder / NAME, flags, 0o666)
+    descriptor = os.open(folder / LOCK, flags, 0o666)
     try:
-        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise SweepError(f"{folder}: its {NAME} is no file")
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            told = _read(descriptor)
-            who = f"process {told.get('pid', '?')} on {told.get('host', '?')}"
-            raise SweepError(
-                f"{folder}: is being changed by {shown(who)}; wait for it to end"
-            ) from None
-        died_at = _read(descriptor).get("block")
-        _note(descriptor, None)
+            note = _read(descriptor)
+            who = printable(f"process {note.get('pid', '?')} on {note.get('host', '?')}")
+            raise SweepError(f"{folder}: is being changed by {who}; wait for it to end") from None
+        block = _read(descriptor).get("block")
+        _write(descriptor, None)
         try:
-            yield Owner(descriptor, died_at if isinstance(died_at, int) else None)
-        finally:  # an orderly end, be it an error: nothing was killed
+            yield Lock(descriptor, block if isinstance(block, int) else None)
+        finally:  # also after an error: the process was not killed
             with suppress(OSError):
                 os.ftruncate(descriptor, 0)
     finally:
         os.close(descriptor)
 
 
-def _note(descriptor: int, block: int | None) -> None:
-    told = {"pid": os.getpid(), "host": socket.gethostname(), "block": block}
-    content = json.dumps(told).encode()
+def _write(descriptor: int, block: int | None) -> None:
+    note = {"pid": os.getpid(), "host": socket.gethostname(), "block": block}
+    content = json.dumps(note).encode()
     os.pwrite(descriptor, content, 0)
     os.ftruncate(descriptor, len(content))
 
 
 def _read(descriptor: int) -> dict[str, object]:
     try:
-        told = json.loads(os.pread(descriptor, 1000, 0))
-    except (ValueError, RecursionError):  # empty: the owner before ended well; or none of ours
+        note = json.loads(os.pread(descriptor, 1000, 0))
+    except (ValueError, RecursionError):  # empty after an orderly end
         return {}
-    return told if isinstance(told, dict) else {}
+    return note if isinstance(note, dict) else {}

@@ -1,7 +1,5 @@
 """Coherent branches: what a hint moves behind its condition, and that no bit changes."""
 
-import os
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,11 +7,11 @@ import pytest
 
 from fic_jax.lanes import lane_map, where_rare
 from fic_jax.lanes.graph import Branch, live
-from tests.faults import TORTURE
 from tests.lanes.compiling import ODD, assert_same, compiled_graph
 from tests.lanes.programs import N_COLUMNS, program
+from tests.torture import many
 
-PROGRAMS = 1000 if os.environ.get(TORTURE) else 40
+PROGRAMS = many(40, 1000)
 
 
 def unbranched(function, monkeypatch, *columns):

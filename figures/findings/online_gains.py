@@ -1,0 +1,41 @@
+"""The swing of a joint whose stiffness changes in step with its motion."""
+
+import numpy as np
+import xarray as xr
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from figures import style
+from figures.paper import look
+
+
+def plot(data: xr.Dataset) -> Figure:
+    """|x| over time for each ratio of the stiffnesses, and the derived growth while linear."""
+    with rc_context(style.RC):
+        fig = Figure(figsize=(style.COLUMN_WIDTH, 2.6))
+        ax = fig.subplots()
+        t, x0 = data["t"].values, data.attrs["x0"]
+        for i, colour in enumerate(look.ordered(data.sizes["ratio"])):
+            run = data.isel(ratio=i)
+            factor, length = float(run["predicted"]), float(run["round"])
+            text = f"{float(run['ratio']):g}: factor {factor:.2f}"
+            ax.plot(t, _rounds(run["swing"].values, t, length), color=colour, lw=0.9, label=text)
+            derived = float(run["swing"][0]) * factor ** (t / length)
+            linear = (derived <= x0) & (derived > 1e-5)
+            ax.plot(t[linear], derived[linear], color=colour, lw=0.8, ls=":")
+        ax.plot([], [], color="0.3", lw=0.8, ls=":", label="derived")
+        ax.axhline(x0, color=look.REFERENCE, lw=0.5)
+        ax.text(t[-1], x0, style.SYMBOLS["x0"], ha="right", va="bottom")
+        ax.set_yscale("log")
+        ax.set(xlim=(0, t[-1]), ylim=(1e-5, 0.3), xlabel="time (s)", ylabel="swing (rad)")
+        fig.legend(
+            loc="outside lower center", ncols=3, frameon=False, title="ratio of the stiffnesses"
+        )
+    return fig
+
+
+def _rounds(swing: np.ndarray, t: np.ndarray, length: float) -> np.ndarray:
+    """The largest swing within a round about each time: the peaks, without the way between them."""
+    width = max(round(length / (t[1] - t[0])), 1)
+    padded = np.pad(swing, (width // 2, width - width // 2 - 1), mode="edge")
+    return np.lib.stride_tricks.sliding_window_view(padded, width).max(axis=1)

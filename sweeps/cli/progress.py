@@ -1,0 +1,52 @@
+"""How far a run is, while it runs: a bar on a terminal, a line every ten seconds in a log."""
+
+import sys
+import time
+from typing import TYPE_CHECKING
+
+from sweeps.cli.interruption import Stop
+
+if TYPE_CHECKING:
+    from sweeps.runner import Progress
+    from sweeps.store.opening import Store
+
+LOG_INTERVAL = 10.0  # s
+
+
+def run_with_progress(store: "Store", stop: Stop) -> "Progress":
+    """Run the blocks of a store that are not done. Raises KeyboardInterrupt on a requested stop."""
+    return (_with_bar if sys.stdout.isatty() else _with_lines)(store, stop)
+
+
+def _with_bar(store: "Store", stop: Stop) -> "Progress":
+    from rich.progress import BarColumn, TextColumn
+    from rich.progress import Progress as Bar
+
+    from sweeps import runner
+    from sweeps.cli.messages import progress_line
+
+    text = TextColumn("{task.percentage:>3.0f} % {task.fields[line]}")
+    with Bar(TextColumn(store.grid.sweep.name), BarColumn(), text, transient=True) as bar:
+        task = bar.add_task("", total=store.grid.cells, line="compiling")
+
+        def show(progress: "Progress") -> None:
+            bar.update(task, completed=progress.done, line=progress_line(progress))
+            stop.after_block(progress)
+
+        return runner.run(store, show)
+
+
+def _with_lines(store: "Store", stop: Stop) -> "Progress":
+    from sweeps import runner
+    from sweeps.cli.messages import log_line
+
+    last = time.monotonic()
+
+    def show(progress: "Progress") -> None:
+        nonlocal last
+        if progress.ran and time.monotonic() - last >= LOG_INTERVAL:
+            last = time.monotonic()
+            print(log_line(progress), flush=True)
+        stop.after_block(progress)
+
+    return runner.run(store, show)

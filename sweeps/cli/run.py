@@ -1,0 +1,131 @@
+"""`run` and `resume`: compute the blocks of a store."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from sweeps.cli import interruption
+from sweeps.cli.arguments import StorePath, SweepName
+from sweeps.cli.errors import fail, system_errors_reported
+from sweeps.cli.library import find, warn
+from sweeps.cli.process import importing
+from sweeps.cli.progress import run_with_progress
+
+if TYPE_CHECKING:
+    from sweeps.spec.types import Sweep
+    from sweeps.store.opening import Store
+
+
+class Precision(StrEnum):
+    """Bits of a number."""
+
+    single = "32"
+    double = "64"
+
+
+class Device(StrEnum):
+    """Where a sweep runs."""
+
+    cpu = "cpu"
+    gpu = "gpu"
+
+
+def run(
+    what: SweepName,
+    out: Annotated[Path | None, typer.Option(metavar="PATH", help="the store to write")] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="change a value; a list or range is an axis"
+        ),
+    ] = None,
+    dry_run: Annotated[bool, typer.Option(help="size, bytes and expected time only")] = False,
+    precision: Annotated[Precision, typer.Option(help="bits of a number")] = Precision.single,
+    chunk: Annotated[int | None, typer.Option(min=1, help="most cells of a block")] = None,
+    device: Annotated[Device | None, typer.Option(help="default: a GPU if JAX has one")] = None,
+    error_estimate: Annotated[
+        bool, typer.Option("--error-estimate", help="also store the error of every metric")
+    ] = False,
+) -> None:
+    """Run a sweep into a new store."""
+    stop = interruption.stop_on_signals()
+    overrides = [*(set_ or []), *(["error_estimate=true"] if error_estimate else [])]
+    with importing():
+        from sweeps import runner
+        from sweeps.spec.reading import load
+
+    sweep = load(find(what), tuple(overrides))
+    runner.configure(int(precision), device and device.value)
+    warn(sweep)
+    if dry_run:
+        _print_plan(sweep, chunk, f"float{precision}")
+        return
+    store = runner.start(out or Path(f"{sweep.name}.zarr"), sweep, chunk, int(precision))
+    _finish(store, stop)
+
+
+def resume(
+    path: StorePath,
+    extend: Annotated[
+        str | None,
+        typer.Option(metavar="NAME|FILE", help="a larger sweep; computes only what is new"),
+    ] = None,
+) -> None:
+    """Run the blocks of a store that are not done yet."""
+    stop = interruption.stop_on_signals()
+    with importing():
+        from sweeps.spec.reading import load
+        from sweeps.store import extend as extension
+
+    file = find(extend) if extend else None
+    larger = load(file) if file else None
+    with system_errors_reported(path):
+        extension.recover(path)
+        store = reopen(path)
+        if larger:
+            warn(larger)
+            store = extension.extend(store, larger, str(file))
+    _finish(store, stop)
+
+
+def reopen(path: Path) -> "Store":
+    """Open a store to continue it, with JAX in the store's precision and on its platform."""
+    from sweeps import runner
+    from sweeps.store.opening import open_store
+
+    store = open_store(path)
+    precision = int(store.dtype.removeprefix("float"))
+    runner.configure(precision, str(store.group.attrs.get("platform", "cpu")))
+    return runner.reopen(path, precision)
+
+
+def _print_plan(sweep: "Sweep", chunk: int | None, dtype: str) -> None:
+    from sweeps.cli.messages import expectation, plan_lines
+    from sweeps.plan.grid import Grid
+    from sweeps.runner import measure
+
+    grid = Grid(sweep, chunk)
+    for line in plan_lines(grid, dtype):
+        print(line)
+    print(expectation(grid, *measure(grid, dtype)))
+
+
+def _finish(store: "Store", stop: interruption.Stop) -> None:
+    """Run a store to its end and print the result; an error leaves finished blocks as they are."""
+    from sweeps.cli.messages import failed_blocks, interrupted, summary
+    from sweeps.runner import run as run_store
+    from sweeps.store.opening import Counts
+
+    try:
+        result = run_with_progress(store, stop)
+    except (KeyboardInterrupt, OSError) as error:
+        if isinstance(error, OSError) or Counts.of(store).pending:
+            fail(interrupted(store, error))
+        # The stop came during the last block: only the time of the end is missing.
+        result = run_store(store, lambda _: None)
+    with system_errors_reported(store.path):
+        print(summary(store, result))
+    if result.set_aside:
+        fail("\n".join(failed_blocks(store, result)))

@@ -1,0 +1,136 @@
+"""What each command writes and prints."""
+
+import re
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+import fic_jax
+from tests.command import call, typed
+
+
+def test_version():
+    assert typed("--version").stdout == f"fic-sweep {fic_jax.__version__}\n"
+
+
+def test_list_names_the_sweeps_of_the_library():
+    listed = typed("list")
+    assert listed.code == 0
+    for name in ("paper-welded", "paper-contact", "paper-stiffness", "paper-damping"):
+        assert re.search(rf"^{name} +[\d,]+  \w", listed.stdout, re.MULTILINE)
+
+
+def test_show_prints_the_file_and_its_size():
+    shown = typed("show", "atlas").stdout
+    assert "= 10,378,500 scenarios of 1,000 steps" in shown
+    assert 'contact = "hard_stop"' in shown
+
+
+def test_a_file_hides_a_library_sweep_of_the_same_name(folder):
+    (folder / "atlas").write_text((folder / "tiny.toml").read_text())
+    assert "= 12 scenarios of 50 steps" in typed("show", "atlas").stdout
+
+
+def test_run_writes_a_store_and_prints_one_line(first_run):
+    path, done = first_run
+    assert re.fullmatch(r"tiny\.zarr: 12 scenarios in [\d.]+ s\n", done.stdout)
+    with xr.open_zarr(path / "tiny.zarr") as data:
+        assert data.sizes == {"K0": 4, "Td": 3}
+        assert data["nmse"].dtype == np.float32
+        assert np.isfinite(data["nmse"]).all()
+
+
+def test_status_counts_cells_and_blocks(ran):
+    status = typed("status", "tiny.zarr").stdout
+    assert "12 of 12 cells (100 %)" in status
+    assert "blocks    0 of 1 to do" in status
+    assert re.search(r"ended 20\d\d-", status)
+    assert "trusted" not in status
+
+
+def test_verify_finds_a_changed_file_and_repairs_it(ran, folder):
+    shutil.copytree(ran / "tiny.zarr", folder / "tiny.zarr")
+    good = typed("verify", "tiny.zarr")
+    assert re.fullmatch(r"tiny\.zarr: 1 block, \d+ files: all as written\n", good.stdout)
+    (chunk,) = (folder / "tiny.zarr" / "nmse").glob("c.*")
+    written = chunk.read_bytes()
+    chunk.write_bytes(written[:-1] + bytes([written[-1] ^ 1]))
+    bad = typed("verify", "tiny.zarr")
+    assert bad.code == 1
+    assert f"1 not as written\n  nmse/{chunk.name} " in bad.stdout
+    repaired = typed("verify", "tiny.zarr", "--repair")
+    assert repaired.code == 0
+    assert "tiny.zarr: computing 1 block again\n" in repaired.stdout
+    assert repaired.stdout.endswith("all as written\n")
+    assert chunk.read_bytes() == written
+
+
+def test_resume_of_a_finished_store_runs_nothing(ran):
+    assert typed("resume", "tiny.zarr").stdout == "tiny.zarr: complete already, 12 scenarios\n"
+
+
+def test_set_changes_a_value_and_makes_an_axis(folder):
+    done = call(
+        "run", "tiny.toml", "--set", "Td=5", "--set", "sigma=[0.01, 0.02]",
+        "--set", "law=effort", "--precision", "64", "--out", "sub/other.zarr",
+        code=0, folder=folder,
+    )  # fmt: skip
+    assert "sub/other.zarr: 8 scenarios in" in done.stdout
+    with xr.open_zarr(folder / "sub" / "other.zarr") as data:
+        assert dict(data.sizes) == {"K0": 4, "sigma": 2}
+        assert data["nmse"].dtype == np.float64
+
+
+def test_dry_run_prints_size_and_time_and_writes_nothing(folder):
+    done = typed("run", "tiny.toml", "--dry-run", "--set", "K0=[200, 300]")
+    assert "K0 2 x Td 3 = 6 scenarios of 50 steps" in done.stdout
+    assert "286 B on disk before compression" in done.stdout
+    assert re.search(r"about [\d.]+ s at [\d,]+ scenarios/s", done.stdout)
+    assert "warning: tiny: K0*x0 reaches 2 times Fmax" in done.stderr
+    assert done.code == 0
+    assert [p.name for p in folder.iterdir()] == ["tiny.toml"]
+
+
+def test_error_estimate_stores_errors_and_counts_trusted_cells(folder):
+    done = typed("run", "tiny.toml", "--error-estimate")
+    share = r"trusted {}\d+ of 12 cells \([\d.]+ %\), nmse known to 1 %$"
+    assert re.search("; " + share.format(""), done.stdout, re.MULTILINE)
+    status = typed("status", "tiny.zarr").stdout
+    assert re.search("^" + share.format("  "), status, re.MULTILINE)
+    with xr.open_zarr(folder / "tiny.zarr") as data:
+        assert np.isfinite(data["nmse_error"]).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "file", "magic"),
+    [
+        (["--metric", "nmse_tail"], "tiny-nmse_tail.png", b"\x89PNG"),
+        (["--out", "a.pdf"], "a.pdf", b"%PDF"),
+        (["--out", "a.svg"], "a.svg", b"<?xml"),
+    ],
+)
+def test_plot_writes_a_picture(ran, options, file, magic):
+    done = typed("plot", "tiny.zarr", "--x", "Td", "--y", "K0", *options)
+    assert done.stdout == f"wrote {file}\n"
+    assert (ran / file).read_bytes().startswith(magic)
+
+
+def test_export_writes_a_table_and_replaces_none(ran):
+    with xr.open_zarr("tiny.zarr", chunks=None) as data:
+        for to, read in (("csv", pd.read_csv), ("parquet", pd.read_parquet)):
+            assert typed("export", "tiny.zarr", "--to", to).code == 0
+            table = read(ran / f"tiny.{to}")
+            assert len(table) == 12
+            assert set(table["status"]) == {"ok"}
+            row = table[(table["Td"] == 5.0) & np.isclose(table["K0"], 100.0)]
+            np.testing.assert_allclose(row["nmse"], data["nmse"].sel(Td=5.0)[-1], rtol=1e-6)
+        assert typed("export", "tiny.zarr", "--to", "netcdf").code == 0
+        with xr.open_dataset(ran / "tiny.nc") as copy:
+            np.testing.assert_array_equal(copy["nmse"], data["nmse"])
+            np.testing.assert_array_equal(copy["status"], data["status"])
+            assert copy["K0"].attrs["units"] == "N*m/rad"
+    again = typed("export", "tiny.zarr", "--to", "csv")
+    assert (again.code, "tiny.csv: exists already" in again.stderr) == (2, True)

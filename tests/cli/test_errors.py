@@ -1,0 +1,81 @@
+"""A wrong request gets one clear line on stderr and exit code 2, and changes no file."""
+
+import os
+
+import pytest
+
+from tests.command import call, typed
+
+WRONG = [
+    (["run", "none"], "none: is no file and no sweep of the library; known are atlas"),
+    (["run", "paper-weldd"], "did you mean `paper-welded`?"),
+    (["run", "none.toml"], "none.toml: there is no such file"),
+    (["run", "tiny.toml", "--set", "K=3"], "--set K=3: unknown key `K`"),
+    (["run", "tiny.toml", "--set", "Td=0"], "tiny.toml: `constants.Td` must be non-zero"),
+    (["run", "tiny.toml", "--precision", "16"], "'16' is not one of '32', '64'"),
+    (["run", "tiny.toml", "--chunk", "0"], "--chunk"),
+    (["run", "tiny.toml", "--out", "tiny.toml/a.zarr"], "tiny.toml/a.zarr: can't be written"),
+    (["run", "tiny.toml", "--out", "/proc/a.zarr"], "for 12 cells, but /proc has 0 GB free"),
+    (["run", "tiny.toml", "--frobnicate"], "No such option"),
+    (["run", "tiny.toml", "--device", "tpu"], "'tpu' is not one of 'cpu', 'gpu'"),
+    (["run", "tiny.toml", "--set", "error_estimate=1"], "must be true or false, but is 1."),
+    (["run"], "Missing argument"),
+    (["run", "tiny.toml", "--out", "x" * 300], "xxx: File name too long"),
+    (["status", "x" * 300], "xxx: is no result store"),
+    (["dance"], "No such command 'dance'"),
+    (["resume", "tiny.zarr"], "tiny.zarr: is no result store"),
+    (["status", "tiny.toml"], "tiny.toml: is no result store"),
+    (["plot", "tiny.zarr", "--x", "K0", "--y", "Td"], "tiny.zarr: is no result store"),
+    (["export", "tiny.zarr", "--to", "xls"], "'xls' is not one of 'csv', 'parquet', 'netcdf'"),
+    (["bench", "--json", "--markdown"], "--json and --markdown: one of them"),
+]
+PLOT = ["plot", "tiny.zarr", "--x", "Td", "--y", "K0"]
+WRONG_WITH_STORE = [
+    (["run", "tiny.toml"], "tiny.zarr: exists already; `fic-sweep resume tiny.zarr` continues it"),
+    ([*PLOT, "--out", "a.xyz"], "a picture ends in .png, .pdf, .svg, not in '.xyz'"),
+    ([*PLOT, "--out", "none/a.png"], "none/a.png: can't be written: "),
+    ([*PLOT[:3], "Kenv", *PLOT[4:]], "tiny.zarr: There is no dimension 'Kenv'. "),
+    ([*PLOT, "--at", "sigma"], "--at sigma: must be KEY=VALUE, as in --at Td=5"),
+    ([*PLOT, "--at", "a=1", "--at", "a=2"], "--at a=2: a is given twice"),
+    (
+        [*PLOT, "--metric", "nmse_error"],
+        "tiny.zarr: There is no 'nmse_error': the store has no error estimates; "
+        "`fic-sweep run --error-estimate` makes them.\n",
+    ),
+]
+
+
+def name_of(arguments):
+    return " ".join(arguments)[:40]
+
+
+def refused(arguments, message):
+    ended = typed(*arguments)
+    assert ended.code == 2
+    assert message in ended.stderr
+    assert len(ended.stderr.splitlines()) == 1
+    assert ended.stderr.startswith("fic-sweep: ")
+    assert ended.stdout == ""
+
+
+@pytest.mark.parametrize(("arguments", "message"), WRONG, ids=name_of)
+def test_a_wrong_request_is_refused(folder, arguments, message):
+    refused(arguments, message)
+    assert [p.name for p in folder.iterdir()] == ["tiny.toml"]
+
+
+@pytest.mark.parametrize(("arguments", "message"), WRONG_WITH_STORE, ids=name_of)
+def test_a_wrong_request_for_a_store_is_refused(ran, arguments, message):
+    before = {p: p.stat().st_mtime_ns for p in ran.rglob("*")}
+    refused(arguments, message)
+    assert {p: p.stat().st_mtime_ns for p in ran.rglob("*")} == before
+
+
+def test_a_missing_gpu_is_refused(folder):
+    """Also on a machine with a GPU: JAX is limited to the CPU."""
+    environment = os.environ | {"JAX_PLATFORMS": "cpu"}
+    ended = call(
+        "run", "tiny.toml", "--device", "gpu", code=2, folder=folder, environment=environment
+    )
+    assert "finds no gpu here; a GPU needs a driver" in ended.stderr
+    assert len(ended.stderr.splitlines()) == 1

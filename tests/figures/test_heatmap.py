@@ -1,0 +1,438 @@
+"""A heatmap shows the selected plane with its labels; a cell without a value gets no colour."""
+
+import json
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import QuadMesh
+from matplotlib.colors import LogNorm, to_rgb
+from matplotlib.figure import Figure
+
+from figures import PlotError, panels, plot, save, select, style
+
+UNITS = {"K0": "N*m/rad", "Kenv": "N*m/rad", "Td": "N*m", "period": "s", "Denv": "N*m*s/rad"}
+
+
+def dataset(**axes):
+    """A sweep whose cells all differ, so that a wrong or transposed plane is noticed."""
+    shape = tuple(len(values) for values in axes.values())
+    coords = {
+        name: (name, np.asarray(values), {"units": UNITS.get(name, "1")})
+        for name, values in axes.items()
+    }
+    ramp = (np.arange(np.prod(shape), dtype=float) + 1).reshape(shape)
+    variables = {
+        "nmse": (1e-5 * ramp, "normalised mean square error", "1"),
+        "convergence_time": (0.1 * ramp, "convergence time", "s"),
+        "steady_error": (0.01 * ramp - 0.05, "steady error", "1"),
+    }
+    data = xr.Dataset(
+        {
+            key: (tuple(axes), values, {"long_name": long_name, "units": units})
+            for key, (values, long_name, units) in variables.items()
+        },
+        coords=coords,
+        attrs={"name": "small-sweep"},
+    )
+    data["status"] = (tuple(axes), np.ones(shape, dtype=np.uint8))
+    return data
+
+
+@pytest.fixture
+def paper():
+    return dataset(
+        contact=["welded", "hard_stop"], K0=[0.1, 1.0, 10.0, 100.0, 1000.0], Td=[1.0, 5, 10, 20]
+    )
+
+
+@pytest.fixture
+def atlas():
+    return dataset(
+        Td=[1.0, 5.0, 20.0], K0=np.geomspace(1, 1000, 16), Kenv=np.linspace(10, 1000, 12)
+    )
+
+
+def panel(figure: Figure) -> Axes:
+    return figure.axes[0]
+
+
+def mesh(axes: Axes) -> QuadMesh:
+    return next(item for item in axes.collections if isinstance(item, QuadMesh))
+
+
+def legend(figure: Figure) -> list[str]:
+    return [text.get_text() for box in figure.legends for text in box.get_texts()]
+
+
+def title(figure: Figure) -> str:
+    return figure.get_suptitle()
+
+
+def test_the_selected_plane_is_drawn_with_x_horizontal(paper):
+    figure = plot(paper, x="Td", y="K0", at={"contact": "welded"})
+    np.testing.assert_array_equal(mesh(panel(figure)).get_array(), paper.nmse.values[0])
+    turned = plot(paper, x="K0", y="Td", at={"contact": "hard_stop"})
+    np.testing.assert_array_equal(mesh(panel(turned)).get_array(), paper.nmse.values[1].T)
+    assert panel(turned).get_xlabel() == "$K_0$ (N·m/rad)"
+
+
+def test_unordered_values_are_drawn_in_order(paper):
+    shuffled = paper.isel(contact=0, Td=[2, 0, 3, 1])
+    figure = plot(shuffled, x="Td", y="K0")
+    np.testing.assert_array_equal(mesh(panel(figure)).get_array(), paper.nmse.values[0])
+
+
+def test_at_takes_the_nearest_value_and_the_title_has_it(atlas):
+    figure = plot(atlas, x="K0", y="Kenv", at={"Td": 6.0})
+    np.testing.assert_array_equal(mesh(panel(figure)).get_array(), atlas.nmse.values[1].T)
+    assert title(figure) == "small-sweep\n$T_d$ = 5 N·m"
+
+
+def test_another_dimension_is_fixed_at_its_middle_and_the_title_has_it(paper):
+    figure = plot(paper, x="Td", y="contact")
+    np.testing.assert_array_equal(mesh(panel(figure)).get_array(), paper.nmse.values[:, 2])
+    assert "$K_0$ = 10 N·m/rad" in title(figure)
+
+
+@pytest.mark.parametrize(
+    ("values", "scale"),
+    [
+        (np.geomspace(1, 1000, 9), "log"),
+        (np.linspace(1, 1000, 9), "log"),  # three decades
+        (np.linspace(10, 200, 9), "linear"),
+        (np.geomspace(10, 200, 9), "log"),
+        ([1.0, 5.0, 10.0, 20.0], "linear"),
+        ([50.0, 100.0, 500.0], "log"),
+        ([0.0, 63.2, 189.7], "linear"),
+    ],
+)
+def test_axis_scale_follows_the_spacing(values, scale):
+    assert panel(plot(dataset(K0=values, Td=[1.0, 2.0]), x="K0", y="Td")).get_xscale() == scale
+
+
+def test_limits_are_the_outer_cell_edges(atlas):
+    axes = panel(plot(atlas, x="K0", y="Kenv"))
+    half = 10 ** (3 / 15 / 2)  # half a cell of 15 steps over three decades
+    assert axes.get_xlim() == pytest.approx((1 / half, 1000 * half))
+    narrow = panel(plot(dataset(K0=[20.0, 30, 40], Td=[2.0, 6.0, 14.0]), x="Td", y="K0"))
+    assert narrow.get_ylim() == pytest.approx((15, 45))
+
+
+def test_irregular_cells_meet_midway_in_their_own_scale():
+    data = dataset(period=[0.001, 0.002, 0.01, 0.1], Denv=[0.0, 50.0, 200.0])
+    corners = mesh(panel(plot(data, x="period", y="Denv"))).get_coordinates()
+    inner = np.sqrt([0.001 * 0.002, 0.002 * 0.01, 0.01 * 0.1])
+    np.testing.assert_allclose(corners[0, 1:-1, 0], inner)
+    np.testing.assert_allclose(corners[:, 0, 1], [-25, 25, 125, 275])
+
+
+def test_short_axes_are_ticked_at_their_values_and_cells_carry_numbers(paper):
+    axes = panel(plot(paper.isel(contact=0), x="Td", y="K0"))
+    assert [text.get_text() for text in axes.get_xticklabels()] == ["1", "5", "10", "20"]
+    assert [text.get_text() for text in axes.get_yticklabels()] == ["0.1", "1", "10", "100", "1000"]
+    assert len(axes.texts) == 20
+    assert axes.texts[0].get_text() == "1.0e-5"
+
+
+@pytest.mark.parametrize("place", [0, -1])
+def test_cell_numbers_contrast_with_their_cell(paper, place):
+    axes = panel(plot(paper.isel(contact=0), x="Td", y="K0"))
+    colour = mesh(axes).to_rgba(mesh(axes).get_array()).reshape(-1, 4)[place, :3]
+    weights = [0.299, 0.587, 0.114]
+    ink = np.dot(to_rgb(axes.texts[place].get_color()), weights)
+    assert abs(np.dot(colour, weights) - ink) > 0.45
+
+
+def test_strings_and_whole_numbers_are_categories(paper):
+    axes = panel(plot(paper, x="contact", y="Td"))
+    assert [text.get_text() for text in axes.get_xticklabels()] == ["welded", "hard_stop"]
+    cases = panel(plot(dataset(case=[3, 7, 40], Td=[1.0, 2.0]), x="case", y="Td"))
+    assert cases.get_xlim() == (-0.5, 2.5)
+    assert [text.get_text() for text in cases.get_xticklabels()] == ["3", "7", "40"]
+
+
+def test_nmse_has_a_logarithmic_scale_of_whole_decades_and_a_colour_for_zero(paper):
+    paper.nmse[0, 0, 0] = 0.0
+    quads = mesh(panel(plot(paper, x="Td", y="K0", at={"contact": "welded"})))
+    assert isinstance(quads.norm, LogNorm)
+    assert (quads.norm.vmin, quads.norm.vmax) == pytest.approx((1e-5, 1e-3))
+    assert not np.ma.getmaskarray(quads.get_array()).any()
+    np.testing.assert_allclose(quads.to_rgba(quads.get_array())[0, 0], quads.cmap(0))
+
+
+def test_signed_error_is_centred_on_zero(paper):
+    norm = mesh(panel(plot(paper, x="Td", y="K0", metric="steady_error"))).norm
+    assert norm.vmin == -norm.vmax
+    assert norm(0.0) == 0.5
+
+
+def test_an_outlier_does_not_stretch_the_scale_and_the_colour_bar_gets_an_arrow(atlas):
+    atlas.nmse[1, 0, 0] = 1e9
+    figure = plot(atlas, x="K0", y="Kenv", at={"Td": 5})
+    quads = mesh(panel(figure))
+    assert quads.norm.vmax < 1
+    assert quads.colorbar.extend == "max"
+
+
+def test_cells_without_a_value_are_masked_hatched_and_named(atlas):
+    time, status = atlas.convergence_time, atlas.status
+    time[1, :4, :] = np.inf
+    for row, code in ((4, 0), (5, 2), (6, 3)):
+        status[1, row] = code
+        time[1, row] = np.nan
+    time[1, 7, 0] = np.nan
+    figure = plot(atlas, x="Kenv", y="K0", metric="convergence_time", at={"Td": 5})
+    hidden = np.ma.getmaskarray(mesh(panel(figure)).get_array())
+    expected = np.zeros((16, 12), dtype=bool)
+    expected[:7] = True
+    expected[7, 0] = True
+    np.testing.assert_array_equal(hidden, expected)
+    assert legend(figure) == [
+        "not run yet (6.2 %)",
+        "diverged (6.2 %)",
+        "failed (6.2 %)",
+        "never converges (25 %)",
+        "no value (0.5 %)",
+    ]
+    assert len({patch.get_hatch() for patch in panel(figure).patches}) == 5
+
+
+def test_the_hatch_covers_exactly_the_cells_of_its_kind(atlas):
+    atlas.status[1, 2:5, 3] = 2
+    figure = plot(atlas, x="Kenv", y="K0", at={"Td": 5})
+    (patch,) = panel(figure).patches
+    corners = mesh(panel(figure)).get_coordinates()
+    box = patch.get_path().get_extents()
+    np.testing.assert_allclose([box.x0, box.y0], corners[2, 3])
+    np.testing.assert_allclose([box.x1, box.y1], corners[5, 4])
+
+
+def test_a_status_decoded_as_nan_means_not_run(atlas):
+    data = atlas.assign(status=atlas.status.where(atlas.K0 > 2))
+    assert legend(plot(data, x="Kenv", y="K0"))[0].startswith("not run yet")
+
+
+def test_a_store_without_finished_cells_gets_no_colour_bar(atlas):
+    atlas.status[:] = 0
+    figure = plot(atlas, x="Kenv", y="K0")
+    assert len(figure.axes) == 1
+    assert legend(figure) == ["not run yet (100 %)"]
+
+
+def test_a_plane_with_all_values_has_no_legend(atlas):
+    assert legend(plot(atlas, x="Kenv", y="K0")) == []
+
+
+def test_labels_name_quantity_and_unit(atlas):
+    figure = plot(atlas, x="Kenv", y="K0", metric="convergence_time")
+    assert panel(figure).get_xlabel() == "$K_{env}$ (N·m/rad)"
+    assert figure.axes[1].get_ylabel() == "convergence time (s)"
+    assert plot(atlas, x="Kenv", y="K0").axes[1].get_ylabel() == "normalised mean square error"
+
+
+def test_panels_share_their_scale_and_the_title_has_what_they_share(atlas):
+    row = [("", select(atlas, x="Kenv", y="K0", at={"Td": value})) for value in (1, 20)]
+    figure = panels(row)
+    left, right, _ = figure.axes
+    assert (mesh(left).norm.vmin, mesh(left).norm.vmax) == (
+        mesh(right).norm.vmin,
+        mesh(right).norm.vmax,
+    )
+    assert mesh(right).norm.vmax >= atlas.nmse.values[2].max() * 0.99
+    assert (left.get_title(), right.get_title()) == ("$T_d$ = 1 N·m", "$T_d$ = 20 N·m")
+    assert title(figure) == "small-sweep"
+
+
+def test_panels_of_different_metrics_are_refused(atlas):
+    row = [("", select(atlas, x="Kenv", y="K0", metric=m)) for m in ("nmse", "steady_error")]
+    with pytest.raises(PlotError, match="metrics differ: nmse, steady_error"):
+        panels(row)
+
+
+@pytest.mark.parametrize(
+    ("request_", "message"),
+    [
+        ({"metric": "nsme"}, "no metric 'nsme'. Did you mean 'nmse'.*There are: nmse, conv"),
+        ({"metric": "status"}, "no metric 'status'"),
+        ({"x": "kenv"}, "no dimension 'kenv'. Did you mean 'Kenv'.*There are: Td, K0, Kenv"),
+        ({"y": "Kenv"}, "both are 'Kenv'"),
+        ({"at": {"K0": 5}}, "'K0' is drawn as an axis; `at` cannot fix it too"),
+        ({"at": {"TD": 5}}, "no dimension 'TD'. Did you mean 'Td'"),
+        ({"at": {"Td": "five"}}, "Td is numeric, but `at` names 'five'"),
+        ({"at": {"Td": "nan"}}, "Td is numeric"),
+        ({"at": {"Td": 90}}, "Td = 90 lies outside the sweep, which covers 1 to 20 N·m"),
+    ],
+)
+def test_a_wrong_request_gets_one_clear_line(atlas, request_, message):
+    with pytest.raises(PlotError, match=message) as caught:
+        plot(atlas, **({"x": "Kenv", "y": "K0"} | request_))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_wrong_model_choice_is_refused(paper):
+    with pytest.raises(PlotError, match=r"no value of contact 'weldd'. Did you mean 'welded'"):
+        plot(paper, x="Td", y="K0", at={"contact": "weldd"})
+
+
+def test_at_may_be_half_a_cell_beyond_the_axis(atlas):
+    assert "$T_d$ = 20" in title(plot(atlas, x="Kenv", y="K0", at={"Td": "35"}))
+
+
+@pytest.mark.parametrize("cmap", [colormaps[style.SEQUENTIAL], style.DIVERGING])
+def test_colour_maps_stay_ordered_in_a_grey_print(cmap):
+    linear = cmap(np.linspace(0, 1, 256))[:, :3] ** 2.2
+    luminance = linear @ [0.2126, 0.7152, 0.0722]
+    assert np.all(np.diff(luminance) > 0)
+
+
+@pytest.mark.parametrize("digits", [1, 2])
+@pytest.mark.parametrize("value", [0.0, 1.2e-5, -0.034, 0.5, 7.0, 123.0, 9999.0, 3.4e7])
+def test_numbers_in_cells_keep_their_value(value, digits):
+    printed = float(style.cell_number(value, digits).replace("−", "-"))
+    assert printed == pytest.approx(value, rel=0.5 * 10 ** (1 - digits))
+
+
+def test_nothing_in_the_figure_is_cut_off(paper):
+    paper.attrs["name"] = "a-sweep-whose-name-is-much-longer-than-one-column-of-a-printed-page"
+    figure = plot(paper, x="Td", y="K0")
+    FigureCanvasAgg(figure).draw()
+    drawn, sheet = figure.get_tightbbox(), figure.bbox_inches
+    assert drawn.x0 >= 0 and drawn.x1 <= sheet.x1
+    assert drawn.y0 >= 0 and drawn.y1 <= sheet.y1
+
+
+def test_drawing_makes_no_pyplot_figure_and_changes_no_data(paper):
+    before = paper.copy(deep=True)
+    plot(paper, x="Td", y="K0")
+    assert plt.get_fignums() == []
+    xr.testing.assert_identical(paper, before)
+
+
+def test_drawing_reads_only_a_plane_of_a_store(tmp_path, atlas):
+    atlas.to_zarr(tmp_path / "atlas.zarr", consolidated=False)
+    stored = xr.open_zarr(tmp_path / "atlas.zarr", consolidated=False, chunks=None)
+    figure = plot(stored, x="Kenv", y="K0", at={"Td": 5})
+    np.testing.assert_array_equal(mesh(panel(figure)).get_array(), atlas.nmse.values[1])
+    assert not stored.nmse.variable._in_memory
+
+
+def test_the_same_figure_is_saved_as_the_same_bytes(tmp_path, paper):
+    for name in ("one.png", "two.png"):
+        save(plot(paper, x="Td", y="K0"), tmp_path / name)
+    first = (tmp_path / "one.png").read_bytes()
+    assert first == (tmp_path / "two.png").read_bytes()
+    assert b"Software" not in first
+
+
+def test_the_title_states_the_constants_of_the_sweep(atlas):
+    record = {"constants": {"sigma": 0.02, "Denv": 63.2}, "model": {"contact": "welded"}}
+    atlas.attrs["sweep"] = json.dumps(record)
+    shown = title(plot(atlas, x="Kenv", y="K0")).replace("\n", " ")
+    for text in (r"$\sigma$ = 0.02", "$D_{env}$ = 63.2 N·m·s/rad", "contact = welded"):
+        assert text in shown
+
+
+def test_a_constant_plane_gets_a_scale_around_its_value(atlas):
+    atlas["convergence_time"][:] = np.float32(9.999999776e-3)
+    norm = mesh(panel(plot(atlas, x="Kenv", y="K0", metric="convergence_time"))).norm
+    assert 0.005 < norm.vmin < 0.01 < norm.vmax < 0.02
+
+
+def test_a_field_along_another_dimension_is_refused(atlas):
+    drawn = atlas.isel(Td=0, drop=True).assign_coords(gap=("K0", np.arange(16.0)))
+    with pytest.raises(PlotError, match="'gap' varies along 'K0', which has no grid to draw on"):
+        plot(drawn, x="gap", y="Kenv")
+
+
+@pytest.fixture
+def judged(atlas):
+    """The atlas with error estimates; half of the middle plane is not trusted."""
+    doubt = np.ones(atlas.nmse.shape, bool)
+    doubt[1] = np.add.outer(np.arange(16), np.arange(12)) > 14
+    atlas["nmse_error"] = atlas.nmse.copy(data=np.where(doubt, 0.1, 1e-4) * atlas.nmse)
+    atlas.nmse_error.attrs["long_name"] = "estimated error of normalised mean square error"
+    atlas["trusted"] = atlas.status.copy(data=np.where(doubt, 1, 2).astype(np.uint8))
+    atlas.attrs["trust_bound"] = 0.01
+    return atlas
+
+
+def hatched(axes: Axes) -> list[str]:
+    return [patch.get_hatch() for patch in axes.patches]
+
+
+def test_cells_that_are_not_trusted_keep_their_colour_under_a_hatch(judged):
+    judged.status[1, 15, :] = 2
+    judged.trusted[1, 15, :] = 0
+    plane = select(judged, x="Kenv", y="K0", at={"Td": 5})
+    expected = (judged.trusted.values[1] == 1) & (judged.status.values[1] == 1)
+    np.testing.assert_array_equal(plane.untrusted, expected)
+    figure = panels([("", plane)])
+    hidden = np.ma.getmaskarray(mesh(panel(figure)).get_array())
+    assert not hidden[:15].any() and hidden[15].all()
+    share = style.share(expected.mean())
+    assert legend(figure) == [
+        "diverged (6.2 %)",
+        f"not trusted: error > 1 % of nmse ({share} %)",
+    ]
+    over = [patch for patch in panel(figure).patches if patch.get_hatch() == style.UNTRUSTED]
+    corners = mesh(panel(figure)).get_coordinates()
+    for patch in over:  # a light line and a dark one on it, over the colours
+        assert patch.get_zorder() > mesh(panel(figure)).get_zorder()
+        box = patch.get_path().get_extents()
+        rows, columns = np.nonzero(expected)
+        np.testing.assert_allclose([box.x0, box.y0], corners[rows.min(), columns.min()])
+        np.testing.assert_allclose([box.x1, box.y1], corners[rows.max() + 1, columns.max() + 1])
+    assert {to_rgb(patch.get_hatchcolor()) for patch in over} == {to_rgb("w"), to_rgb("k")}
+
+
+def test_a_plane_that_is_trusted_or_has_no_estimates_gets_no_hatch(judged):
+    trusted = judged.copy(deep=True)
+    trusted.trusted[:] = 2
+    for data in (judged.drop_vars(["trusted", "nmse_error"]), trusted):
+        figure = plot(data, x="Kenv", y="K0")
+        assert hatched(panel(figure)) == [] and legend(figure) == []
+
+
+def test_a_panel_without_estimates_gets_a_dash_for_its_share(judged):
+    bare = judged.drop_vars(["trusted", "nmse_error"])
+    row = [("", select(data, x="Kenv", y="K0", at={"Td": 1})) for data in (judged, bare)]
+    assert legend(panels(row)) == ["not trusted: error > 1 % of nmse (100, – %)"]
+
+
+def test_a_number_in_a_hatched_cell_has_a_box_of_the_cells_colour(paper):
+    paper["trusted"] = paper.status.copy(data=np.full(paper.status.shape, 2, np.uint8))
+    paper.trusted[1, 0, 0] = 1
+    axes = panel(plot(paper, x="Td", y="K0"))
+    colours = mesh(axes).to_rgba(mesh(axes).get_array()).reshape(-1, 4)
+    boxes = [text.get_bbox_patch() for text in axes.texts]
+    assert boxes[0].get_facecolor() == pytest.approx(colours[0])
+    assert boxes[1:] == [None] * 19
+
+
+def test_an_estimated_error_has_a_logarithmic_scale(judged):
+    judged.nmse_error[1, 0, 0] = 0.0
+    judged.nmse_error[1, 0, 1] = np.inf
+    figure = plot(judged, x="Kenv", y="K0", metric="nmse_error")
+    assert isinstance(mesh(panel(figure)).norm, LogNorm)
+    shown = figure.axes[1].get_ylabel().replace("\n", " ")
+    assert shown == "estimated error of normalised mean square error"
+    assert legend(figure)[0] == "infinite (0.5 %)"
+    judged.nmse_error[:] = 0.0
+    norm = mesh(panel(plot(judged, x="Kenv", y="K0", metric="nmse_error"))).norm
+    assert norm.vmin == 0.0 < norm.vmax
+
+
+def test_trusted_is_no_metric_and_an_error_needs_estimates(judged):
+    with pytest.raises(PlotError, match="'trusted' is no metric: the heatmap of any metric hatch"):
+        plot(judged, x="Kenv", y="K0", metric="trusted")
+    with pytest.raises(PlotError, match=r"no metric 'nsme_error'. Did you mean 'nmse_error'"):
+        plot(judged, x="Kenv", y="K0", metric="nsme_error")
+    bare = judged.drop_vars(["trusted", "nmse_error"])
+    for metric in ("trusted", "steady_error_error"):
+        with pytest.raises(PlotError, match=f"no '{metric}': the store has no error estimates; "):
+            plot(bare, x="Kenv", y="K0", metric=metric)

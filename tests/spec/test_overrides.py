@@ -1,0 +1,72 @@
+"""`--set KEY=VALUE` changes one key of a sweep file; a wrong value is refused as in the file."""
+
+import pytest
+
+from sweeps.spec.mistakes import SweepError
+from sweeps.spec.reading import parse
+
+FILE = """
+name = "a"
+[constants]
+Td = 5.0
+[axes]
+K0 = { log = [1.0, 1000.0], n = 4 }
+Kenv = [1.0, 2.0]
+"""
+DRAWN = 'name = "a"\n[sample]\nn = 9\nranges = { Td = { lin = [1, 2] }, K0 = { lin = [1, 2] } }\n'
+
+
+def test_a_field_moves_to_the_table_of_its_new_value():
+    sweep = parse(FILE, "f", ("K0=10", "Td=[1, 2]", "sigma={lin=[1,2],n=3}", "Kenv=[3, 4]"))
+    assert sweep.constants == {"K0": 10}
+    assert list(sweep.axes) == ["Kenv", "Td", "sigma"]  # an axis that stays one keeps its place
+    assert sweep.axes["Kenv"] == [3, 4]
+    cases = parse(FILE + "[cases]\ngap = [0.0, 0.1]", "f", ("gap=0.2",))
+    assert (cases.cases, cases.constants["gap"]) == ({}, 0.2)
+    drawn = parse(DRAWN, "f", ("Td=3",))
+    assert (list(drawn.sample.ranges), drawn.constants) == (["K0"], {"Td": 3})
+
+
+def test_other_keys_need_no_table():
+    settings = ("dt=0.005", "law=effort", "name=b", "error_estimate=true")
+    sweep = parse(FILE, "f", settings)
+    assert sweep.time.dt == 0.005
+    assert sweep.model == {"law": "effort"}
+    assert (sweep.name, sweep.error_estimate) == ("b", True)
+    drawn = parse(DRAWN, "f", ("n=7", "method=lhs", "seed=3")).sample
+    assert (drawn.n, drawn.method, drawn.seed) == (7, "lhs", 3)
+
+
+@pytest.mark.parametrize(
+    ("value", "wanted"),
+    [
+        ("K0", "--set K0: must be KEY=VALUE, as in --set K0=10"),
+        ("=3", "--set =3: must be KEY=VALUE, as in --set K0=10"),
+        ("k0=3", "unknown key `k0`; did you mean `K0`?"),
+        ("K0=x", '`constants.K0` must be a number, but is "x".'),
+        ("K0=" + "[" * 100_000, "`constants.K0` must be a number"),
+        ("K0=" + "9" * 5000, "`constants.K0` must be a number"),
+        ("K0={ lin = [1, 9], n = 10000000000 }", "`axes.K0.n` must be less than or equal to"),
+        ("name=../../x", "`name` must be letters, digits"),
+        ("metrics=['../x']", "unknown metric `../x`"),
+        ("a\nb=1", r"--set a\nb=1: unknown key `a\nb`"),
+        ("\x1b[2J", r"--set \x1b[2J: must be KEY=VALUE"),
+        ("k" * 100_000, "--set kkk"),
+        ("K0=nan", "`constants.K0` must be a finite number"),
+        ("t_end=1e300", "`time.t_end` must be at most 100,000,000 steps"),
+        ("seed=1", "`sample.n` must be given"),
+        ("law=\udcff", "`model.law` must be"),
+    ],
+)
+def test_a_wrong_value_is_refused(value, wanted):
+    with pytest.raises(SweepError) as refusal:
+        parse(FILE, "f", (value,))
+    assert wanted in str(refusal.value)
+    assert len(str(refusal.value)) < 2_000
+    assert all(line.isprintable() for line in str(refusal.value).splitlines())
+
+
+@pytest.mark.parametrize("text", ["time = 5\n", "constants = 3\n", "sample = 5\n", "axes = 1\n"])
+def test_a_wrong_table_stays_wrong(text):
+    with pytest.raises(SweepError, match="must be a"):
+        parse(text + 'name = "a"', "f", ("dt=0.1", "K0=3", "Td=[1, 2]"))
