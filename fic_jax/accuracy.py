@@ -1,4 +1,4 @@
-"""Error estimates: how far metrics are from the limit of ever shorter plant steps."""
+"""Error estimates: the difference between metrics and their limit for dt -> 0."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from fic_jax.metrics import Metrics, compiled_evaluate
 from fic_jax.params import Model, Params, Scalar
 from fic_jax.simulation import checked
 
-TRUST = 0.01  # relative error of nmse up to which a scenario is trusted
+TRUST = 0.01  # a scenario is trusted up to this relative error of nmse
 # Halving the step removes three quarters of the error of a method of order 2. The error of rk4 is
 # of first order and erratic; its companion is far more accurate, so the difference is the error.
 _TO_LIMIT = {"rk4": 1.0, "rk4_events": 4.0 / 3.0}
@@ -18,13 +18,17 @@ _TO_LIMIT = {"rk4": 1.0, "rk4_events": 4.0 / 3.0}
 def evaluate_with_error(
     params: Params, *, model: Model = Model(), dt: Scalar, n_steps: int
 ) -> tuple[Metrics, Metrics]:
-    """`evaluate`, and the estimated absolute error of each metric.
+    """`evaluate`, and the estimated absolute error of each metric in the metric's unit.
 
-    A companion run has plant steps of dt/2, located switches (`rk4_events`) and the same samples.
-    The difference between the two runs estimates the error. It is 0 where a metric is infinite in
-    both runs. Where a run leaves the finite numbers all errors are NaN and `finite` is false.
+    A companion run has plant steps of dt/2, located switches (`rk4_events`) and the same sample
+    times. The error estimate is the difference between the two runs (`rk4`), or 4/3 of it
+    (`rk4_events`, a method of order 2). It is 0 if a metric is infinite in both runs. If a run
+    becomes infinite or NaN, all errors are NaN and `finite` is false.
 
-    Raises ParamsError if a concrete value is out of bounds.
+    Takes Params with scalar leaves; returns two Metrics with scalar leaves.
+
+    Raises ParamsError if a value is out of bounds. Values under the caller's jit or vmap are not
+    checked.
     """
     p, dt = checked(params, dt, n_steps)
     return estimated(p, model, dt, n_steps)
@@ -52,5 +56,8 @@ def difference(metrics: Metrics, companion: Metrics, model: Model) -> Metrics:
 
 
 def trusted(metrics: Metrics, errors: Metrics) -> Scalar:
-    """Whether the error of nmse is at most 1 % of nmse; false where a run was not finite."""
+    """Whether the error of nmse is at most TRUST (1 %) of nmse: bool, scalar or [N].
+
+    Takes the two Metrics of `evaluate_with_error` or `sweep`. False if a run was not finite.
+    """
     return errors.nmse <= TRUST * metrics.nmse

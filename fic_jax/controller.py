@@ -1,4 +1,4 @@
-"""Algorithm 1: the fractal attractor, its branch, its peak error and its torque."""
+"""Algorithm 1: the branch, the peak error and the torque of the fractal attractor."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ REST_BAND = 0.01  # rad/s, below which `velocity_band` counts the joint as at re
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Slopes:
-    """Slopes of the converging branch, and the peak error they belong to."""
+    """The slopes of a converging branch, and the peak error from which they were computed."""
 
     inner: Scalar  # N*m/rad, where |e| <= x0
     outer: Scalar  # N*m/rad, where |e| > x0
@@ -25,7 +25,7 @@ class Slopes:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Attractor:
-    """The attractor as one plant step sees it: constant while the step integrates."""
+    """The attractor within one plant step, or one segment of it: constant for its integration."""
 
     diverging: Scalar  # bool
     e_M: Scalar  # rad, signed peak error
@@ -33,7 +33,7 @@ class Attractor:
 
 
 def departs(e: Scalar, v: Scalar, model: Model) -> jax.Array:
-    """Whether the joint moves away from the reference, or rests, by its error and velocity."""
+    """Whether the joint moves away from the reference or rests: e v <= 0 (e in rad, v in rad/s)."""
     away = e * v <= 0.0
     if model.divergence == "velocity_band":
         away = away | (jnp.abs(v) < REST_BAND)
@@ -41,18 +41,18 @@ def departs(e: Scalar, v: Scalar, model: Model) -> jax.Array:
 
 
 def diverges(e: Scalar, v: Scalar, e_last: Scalar, model: Model) -> jax.Array:
-    """Whether the coming plant step diverges (`Model.divergence`).
+    """Whether the attractor diverges in this plant step (`Model.divergence`).
 
-    `e_last` is |e| at the previous decision (rad); only `error_rate` reads it.
+    `e_last` is |e| at the previous decision (rad); only `error_rate` uses it.
     """
     return jnp.abs(e) > e_last if model.divergence == "error_rate" else departs(e, v, model)
 
 
 def peak_error(e: Scalar, diverging: Scalar, e_M: Scalar, model: Model) -> jax.Array:
-    """The peak error e_M (rad) of a branch that begins at the error `e`.
+    """The peak error e_M (rad) of a branch that begins at the error `e` (rad).
 
-    While diverging e_M is e. While converging it stays (`latched`), or it also becomes e where e
-    is larger or has the other sign (`running`).
+    Diverging: e_M becomes e. Converging: e_M stays (`latched`), or it becomes e if |e| is larger or
+    e has the other sign (`running`).
     """
     follows = diverging
     if model.peak == "running":
@@ -64,10 +64,10 @@ def converging_slopes(e_M: Scalar, p: Params, model: Model) -> Slopes:
     """The slopes of the converging branch, N*m/rad, for the peak error `e_M` (`Model.law`).
 
         algorithm1    4 E_K(e_M)/e_M^2 where |e| <= x0, 2 F_K(e_M)/e_M beyond
-        effort        2 F_K(e_M)/e_M throughout
-        energy        4 E_K(e_M)/e_M^2 throughout
+        effort        2 F_K(e_M)/e_M everywhere
+        energy        4 E_K(e_M)/e_M^2 everywhere
 
-    In the linear zone, |e_M| <= x0, all are 2 K0, their limit.
+    In the linear zone, |e_M| <= x0, all of them equal 2 K0.
     """
     linear = jnp.abs(e_M) <= p.x0
     per_e_M = 1.0 / jnp.where(linear, p.x0, e_M)  # a safe divisor keeps 0/0 out of the gradient
@@ -86,10 +86,10 @@ def begin_branch(
     model: Model,
     known: Slopes | None = None,
 ) -> Attractor:
-    """The attractor of a branch that begins at the error `e`; `e_M` is the peak error before it.
+    """The attractor of a branch that begins at the error `e`, after the peak error `e_M` (rad).
 
-    Slopes already `known` for the branch's e_M are not computed again; a diverging branch uses
-    none, and keeps those `known` for a later one.
+    `known` are the slopes of the last converging branch. Slopes are computed only if the branch
+    converges and `known` is for another e_M; a diverging branch uses none and passes `known` on.
     """
     e_M = peak_error(e, diverging, e_M, model)
     if known is None:
@@ -105,12 +105,12 @@ def peak_error_after(attractor: Attractor, e: Scalar) -> jax.Array:
 
 
 def torque(e: Scalar, attractor: Attractor, p: Params, side: Scalar | None = None) -> jax.Array:
-    """Torque towards the reference, N*m, limited to +-Fmax (Algorithm 1).
+    """The controller's torque towards the reference (N*m), limited to +-Fmax (Algorithm 1).
 
         diverging     F_K(e)
         converging    slope (e - e_M/2), with the inner slope where |e| <= x0, the outer beyond
 
-    `side`, an error, chooses the piece in place of `e`.
+    `side`, an error (rad), chooses the piece instead of `e`.
     """
     slopes = attractor.slopes
     inner = jnp.abs(e if side is None else side) <= p.x0

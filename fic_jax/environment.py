@@ -22,8 +22,8 @@ def interaction_torque(
         hard_stop       0 while x < gap, else Kenv (x - gap) + Denv max(v, 0)
         damped_rebound  0 while x < gap, else Kenv (x - gap) + Denv v
 
-    The hard stop is Simscape's with undamped rebound: it never pulls. `side`, a position and a
-    velocity, decides about contact and direction in place of x and v.
+    The hard stop is Simscape's with undamped rebound: it does not pull. `side`, a position and a
+    velocity, decides about contact and direction instead of x and v.
     """
     x_side, v_side = (x, v) if side is None else side
     rate = jnp.where(v_side > 0.0, v, 0.0) if model.contact == "hard_stop" else v

@@ -1,9 +1,9 @@
 """One plant step by RK4 with its switches located inside it.
 
-The law switches at v = 0, e = 0, |e| = x0 and |e| = xb, the environment at x = gap. The step is cut
-at its first switch. Each segment stays on one piece of the closed loop, chosen by a point just
-ahead of its start, and ends where RK4's interpolant crosses to the next piece. The limit +-Fmax, a
-kink where K0 x0 > Fmax or where e outgrows e_M, is not located.
+The law switches at v = 0, e = 0, |e| = x0 and |e| = xb, the environment at x = gap. The first
+switch divides the step into two segments. A point just ahead of a segment's start chooses its piece
+of the closed loop. The first segment ends where RK4's interpolant crosses to the next piece. The
+kink at the limit +-Fmax (K0 x0 > Fmax, or |e| above |e_M|) is not located.
 """
 
 from dataclasses import dataclass
@@ -25,10 +25,10 @@ from fic_jax.lanes.hints import where_rare
 from fic_jax.params import Model, Params, Scalar
 from fic_jax.rk4 import Motion, Stages, end_of, net_torque, stages, step_sizes
 
-# The point that chooses a segment's pieces lies this part of a plant step ahead of its start.
+# The point that chooses a segment's piece lies this part of a plant step ahead of its start.
 AHEAD = 2.0**-10
-# Where a motion meets the band at rest: within it, so that it counts as at rest until it is out. An
-# acceleration that takes longer than AHEAD of a step for this 1e-9 rad/s counts as none.
+# rad/s, where a motion meets the edge of the rest band: 1e-9 inside, so that it counts as at rest
+# until it has left. An acceleration below 1e-9 rad/s in AHEAD of a step counts as none.
 BAND_EDGE = (1.0 - 1e-7) * REST_BAND
 
 
@@ -44,11 +44,12 @@ def advance_located(
 ) -> tuple[Motion, Attractor]:
     """One plant step of `dt` seconds, and the attractor of its last segment.
 
-    Two segments: up to the first switch, and the rest. A second switch in one step is met late, at
-    the next step, to first order. `e_last` is |e| before this step's tick of Algorithm 2 (rad).
+    The first segment ends at the first switch, the second at the end of the step. A second switch
+    in one step acts at the next step only: an error of first order. `e_last` is |e| (rad) before
+    this step's tick of Algorithm 2.
     """
     grown = jnp.zeros_like(start.x, bool)
-    if model.divergence == "error_rate":  # grown by the tick; within a step e v says so
+    if model.divergence == "error_rate":  # by the tick; within a step the sign of e v decides
         grown = diverges(x_h - start.x, start.v, e_last, model)
     before, side = enter(p, start, x_h, e_M, grown, known, model, dt)
     k = stages(p, start, x_h, before, model, dt, side)
@@ -75,10 +76,10 @@ def enter(
     model: Model,
     dt: Scalar,
 ) -> tuple[Attractor, Motion]:
-    """The attractor of the segment that starts at `at`, and the point ahead that chooses pieces.
+    """The attractor of the segment that starts at `at`, and the point ahead that chooses its piece.
 
-    At rest both branches are possible. Algorithm 1 begins to diverge there, with e_M at e, and
-    the resulting acceleration decides which way the joint goes.
+    At rest both branches are possible. Algorithm 1 first diverges, with e_M = e; the acceleration
+    that follows decides the direction, and so the branch.
     """
     e = x_h - at.x
     diverging = departs(e, at.v, model)
@@ -87,7 +88,7 @@ def enter(
     soon = AHEAD * dt
     v = at.v + step_sizes(p, soon).v * net_torque(p, tau, at.x, at.v, model)
     way = 0.5 * soon * (at.v + v)
-    # A few units in the last place more: otherwise a slow motion would stay on the switch.
+    # Four units in the last place more: otherwise rounding leaves a slow motion on the switch.
     least = 4.0 * jnp.finfo(at.x.dtype).eps * (jnp.abs(at.x) + jnp.abs(x_h))
     way = jnp.where(way < 0.0, way - least, way + least)
     ahead = jax.lax.stop_gradient(Motion(at.x + way, v, at.work))  # only compared with levels
@@ -100,23 +101,23 @@ def until_switch(
 ) -> tuple[Scalar, Motion]:
     """The part of `h` up to the segment's first switch, 1 without one, and the motion there.
 
-    v first: x turns only where v is 0, so before that it takes each value once. A v that crosses 0
-    and returns within the segment is missed.
+    The crossing of v comes first: up to v = 0 the position is monotonic and takes each value once.
+    A v that crosses 0 twice within the segment goes unnoticed.
     """
     size = step_sizes(p, h)
     path, end = Interpolant.of(start, k, size), end_of(start, k, size)
     whole = jnp.ones_like(start.v)
     v_level, stops = _first_between(_speed_levels(model), start.v, end.v)
-    turn = where_rare(
+    stop = where_rare(
         stops, lambda: path.part_at("v", v_level - start.v, end.v - start.v, whole), whole
     )
-    farthest = jnp.where(stops, path.at(turn).x, end.x)
+    farthest = jnp.where(stops, path.at(stop).x, end.x)
     x_level, passes = _first_between(_position_levels(p, x_h, model), start.x, farthest)
     part = where_rare(
-        passes, lambda: path.part_at("x", x_level - start.x, farthest - start.x, turn), turn
+        passes, lambda: path.part_at("x", x_level - start.x, farthest - start.x, stop), stop
     )
     at = path.at(part)
-    # Exactly on the level, so that the next segment doesn't cross it again from the other side.
+    # Exactly on the level, so that the next segment does not cross it a second time.
     x = jnp.where(passes, x_level, jnp.where(stops, at.x, end.x))
     v = jnp.where(passes, at.v, jnp.where(stops, v_level, end.v))
     return part, Motion(x, v, jnp.where(passes | stops, at.work, end.work))
@@ -192,7 +193,7 @@ class Interpolant:
 
 
 def _parabola(a: Scalar, rise: Scalar, rise_to: Scalar, until: Scalar) -> jax.Array:
-    """Where a t + q t^2 is `rise`, if it is `rise_to` at t = `until`: near a turn as elsewhere."""
+    """The t where a t + q t^2 = `rise`, q such that it is `rise_to` at `until`; also if a = 0."""
     q = _quotient(rise_to - a * until, until**2)
     inside = a**2 + 4.0 * q * rise
     root = jnp.sqrt(jnp.where(inside > 0.0, inside, 0.0))

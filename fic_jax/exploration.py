@@ -1,4 +1,4 @@
-"""Algorithm 2: haptic exploration, the reference that searches for the desired torque."""
+"""Algorithm 2: haptic exploration moves the reference until the torque is the desired one."""
 
 import jax
 import jax.numpy as jnp
@@ -7,14 +7,14 @@ from fic_jax.params import Params, Scalar, steps_per_period
 
 
 def expected_reference(p: Params) -> Scalar:
-    """The reference that gives Td on a rigid wall at the expected contact: xd + Td/K0, rad."""
+    """The reference xd + Td/K0 (rad): on a rigid wall at xd it gives the torque Td."""
     return p.xd + p.Td / p.K0
 
 
 def explore(
     x_h: Scalar, countdown: Scalar, x: Scalar, measured: Scalar, p: Params, dt: Scalar
 ) -> tuple[jax.Array, jax.Array]:
-    """The exploring reference x_h (rad) of this plant step, and plant steps until the next tick.
+    """The reference x_h (rad) of this plant step, and the plant steps until the next tick.
 
     On a tick, with F = `measured` (N*m) and F != Td (Algorithm 2):
         x_h <- xd + Td/K0                              while |x| <= |xd|

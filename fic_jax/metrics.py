@@ -1,7 +1,7 @@
-"""Metrics, streamed over the samples of a scenario: no trajectory is stored.
+"""Metrics, summed sample by sample: no trajectory is stored.
 
 T is the interaction torque tau_env, T_n = sgn(Td) min(|Td|, Fmax) the reachable torque, and
-eps = (T - Td)/T_n. The tail is the second half of the run.
+eps = (T - Td)/T_n. The tail is the second half of the run. To add a metric: docs/architecture.md.
 """
 
 import dataclasses
@@ -18,7 +18,7 @@ from fic_jax.lanes.hints import where_rare
 from fic_jax.params import Model, Params, Scalar, check_count
 from fic_jax.simulation import Sample, checked, init, sampled, with_slopes
 
-SETTLING_BAND = 0.05  # of T_n: the torque has converged while it stays this close to it
+SETTLING_BAND = 0.05  # the torque has converged while |T/T_n - 1| is at most this
 
 
 def _metric(unit: str, meaning: str) -> Any:
@@ -28,7 +28,7 @@ def _metric(unit: str, meaning: str) -> Any:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Metrics:
-    """The results of one scenario (scalars) or of N ([N] leaves)."""
+    """The metrics of one scenario (scalars) or of N ([N] leaves); METRICS has their units."""
 
     nmse: Scalar = _metric("1", "normalised mean square torque error, whole run")
     nmse_tail: Scalar = _metric("1", "normalised mean square torque error, second half")
@@ -49,7 +49,7 @@ METRICS = {f.name: f.metadata for f in dataclasses.fields(Metrics)}
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Sum:
-    """A compensated sum (Kahan 1965): float32 loses 1 % of an nmse over 10^6 plain additions."""
+    """A compensated sum (Kahan 1965); 10^6 plain float32 additions lose 1 % of an nmse."""
 
     total: Scalar
     excess: Scalar  # the rounding error in `total`
@@ -64,23 +64,23 @@ class Sum:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Accumulator:
-    """Running sums of one scenario. Times are counts of samples, int32: they stay exact."""
+    """Running sums and extremes of one scenario. Times are counts of samples: exact in int32."""
 
     square_head: Scalar  # sum of eps^2 over the first half, 0 before the second begins
-    square: Sum  # of eps^2, over the present half
-    error: Sum  # of eps, over the present half
+    square: Sum  # of eps^2, over the current half
+    error: Sum  # of eps, over the current half
     outside: Scalar  # samples up to and including the last one outside the settling band
     highest: Scalar  # N*m, largest T, at least 0
-    lowest: Scalar  # N*m, smallest T, at most 0; always 0 at a hard stop, which never pulls
+    lowest: Scalar  # N*m, smallest T, at most 0; always 0 at a hard stop, which does not pull
     before_touch: Scalar  # samples before the first one in contact
     touched: Scalar  # samples in contact
-    switches: Scalar
+    switches: Scalar  # of the branch, so far
     diverging: Scalar  # branch of the last sample
     work: Sum  # J
 
 
 def reachable(p: Params) -> jax.Array:
-    """The reachable torque T_n = sgn(Td) min(|Td|, Fmax), N*m; it normalises torque errors."""
+    """The reachable torque T_n = sgn(Td) min(|Td|, Fmax), N*m; eps is in units of it."""
     return jnp.sign(p.Td) * jnp.minimum(jnp.abs(p.Td), p.Fmax)
 
 
@@ -131,9 +131,9 @@ def update(
 def finish(
     acc: Accumulator, x: Scalar, v: Scalar, n_steps: int, p: Params, dt: jax.Array
 ) -> Metrics:
-    """Metrics from the sums. Sample k lies at (k + 1) dt; an event that never happens is at inf.
+    """Metrics from the sums. Sample k is at time (k + 1) dt; inf stands for "does not happen".
 
-    `x` and `v` are the last sample's: a motion that leaves the finite numbers never returns.
+    `x` and `v` are the last sample's: once they are infinite or NaN they remain so.
     """
 
     def seconds(samples: Scalar) -> jax.Array:
@@ -148,7 +148,7 @@ def finish(
         nmse_tail=acc.square.total / n_tail,
         convergence_time=jnp.where(acc.outside < n_steps, seconds(acc.outside + 1), jnp.inf),
         steady_error=acc.error.total / n_tail,
-        peak_torque=jnp.abs(jnp.maximum(acc.highest, -acc.lowest)),  # either may be a zero of -0
+        peak_torque=jnp.abs(jnp.maximum(acc.highest, -acc.lowest)),  # abs: the larger may be -0
         overshoot=jnp.maximum(jnp.where(T_n < 0.0, acc.lowest, acc.highest) / T_n - 1.0, 0.0),
         contact_time=jnp.where(acc.touched > 0, seconds(acc.before_touch + 1), jnp.inf),
         contact_lost=seconds(lost),
@@ -162,19 +162,21 @@ def finish(
 
 
 def blank(p: Params, dt: Scalar) -> Metrics:
-    """Metrics of an empty run, for their types."""
+    """Metrics without a run, for their types."""
     return finish(empty(p), p.x_init, p.v_init, 2, p, dt)
 
 
 def evaluate(
     params: Params, *, model: Model = Model(), dt: Scalar, n_steps: int, substeps: int = 1
 ) -> Metrics:
-    """Metrics of one scenario over `n_steps` plant steps of `dt` seconds, streamed.
+    """Metrics of one scenario over `n_steps` samples, one every `dt` seconds; none is stored.
 
-    With `substeps` the plant steps are that many times shorter. Samples stay every `dt`, so that
-    only the error of the integration changes.
+    Takes Params with scalar leaves; returns Metrics with scalar leaves. A sample is the end of a
+    plant step of `dt` seconds, or of `substeps` plant steps of dt/substeps: then the integration is
+    finer and the samples are at the same times. vmap, grad and the caller's jit apply.
 
-    Raises ParamsError if a concrete value is out of bounds.
+    Raises ParamsError if a value is out of bounds. Values under the caller's jit or vmap are not
+    checked.
     """
     check_count("substeps", substeps)
     p, dt = checked(params, dt, n_steps)
@@ -185,7 +187,7 @@ def evaluate(
 def compiled_evaluate(
     p: Params, model: Model, dt: jax.Array, n_steps: int, substeps: int = 1, unroll: int = 1
 ) -> Metrics:
-    """`evaluate` on canonical numbers; `unroll` samples are one iteration of the compiled loop."""
+    """`evaluate` on canonical numbers; a compiled iteration takes `unroll` samples."""
 
     def body(k: jax.Array, carry: Any) -> Any:
         state, acc = carry

@@ -1,4 +1,4 @@
-"""Passivity: the Lyapunov function of the fractal attractor, and the energy its switches absorb."""
+"""Passivity: the Lyapunov function V of the fractal attractor (the paper's appendix)."""
 
 from dataclasses import replace
 
@@ -11,19 +11,19 @@ from fic_jax.profile import energy
 
 
 def potential(e: Scalar, attractor: Attractor, p: Params) -> jax.Array:
-    """Potential of the attractor's torque in its branch, J, 0 at e = 0: dU/de = `torque`.
+    """The potential U (J) of the torque in the attractor's branch: dU/de = `torque`, U(0) = 0.
 
-    Diverging it is E_K (eq. 2), where K0 x0 > Fmax that of the torque cut off at Fmax; converging
+    Diverging it is E_K (eq. 2), or if K0 x0 > Fmax the integral of the limited torque; converging
     it is E_AA (appendix). Between two switches U + I v^2/2 is constant.
     """
-    # Where the profile overshoots Fmax it does so from Fmax/K0 on, where the spring is linear.
+    # The profile exceeds Fmax from Fmax/K0 on if K0 x0 > Fmax: the limited torque has no curve.
     overshoots = p.K0 * p.x0 > p.Fmax
     U_K = jnp.where(overshoots, _cut(e, p.K0, p.Fmax), energy(e, p))
     return jnp.where(attractor.diverging, U_K, _converging(e, attractor, p))
 
 
 def _converging(e: Scalar, attractor: Attractor, p: Params) -> jax.Array:
-    """U of the converging branch: the torque's slope is one up to x0 and another beyond."""
+    """U of the converging branch: slope `inner` where |e| <= x0, `outer` beyond."""
     inner = jnp.where(jnp.abs(e) <= p.x0, e, jnp.sign(e) * p.x0)
     middle = 0.5 * attractor.e_M
 
@@ -35,7 +35,7 @@ def _converging(e: Scalar, attractor: Attractor, p: Params) -> jax.Array:
 
 
 def _cut(e: Scalar, slope: Scalar, Fmax: Scalar) -> jax.Array:
-    """Integral from 0 to e of slope * e, cut off at +-Fmax."""
+    """Integral from 0 to e of slope * e, limited to +-Fmax."""
     within = jnp.abs(slope * e) <= Fmax
     safe = jnp.where(within, 1.0, slope)
     return jnp.where(within, 0.5 * slope * e**2, Fmax * (jnp.abs(e) - 0.5 * Fmax / safe))
@@ -44,9 +44,9 @@ def _cut(e: Scalar, slope: Scalar, Fmax: Scalar) -> jax.Array:
 def stored(e: Scalar, attractor: Attractor, p: Params) -> jax.Array:
     """The attractor's part of V, J: U_K(e) diverging, U_AA(e) + E_C converging.
 
-    E_C = U_K(e_M) - U_AA(e_M) makes both agree at the peak e_M (appendix). The appendix also asks
-    E_C = -E_AA(0), so that V_AA(0) = 0; E_AA is even about e_M/2 where F_AA is odd, and then
-    V_AA(0) = E_K(e_M): V falls by it when the convergence ends at e = 0.
+    E_C = U_K(e_M) - U_AA(e_M) makes both agree at the peak e_M (appendix). The appendix also
+    requires E_C = -E_AA(0), that is V_AA(0) = 0. Both cannot hold: F_AA is odd about e_M/2, so E_AA
+    is even about it and V_AA(0) = E_K(e_M). V falls by this when the convergence ends at e = 0.
     """
     diverging = replace(attractor, diverging=jnp.ones_like(attractor.diverging))
     U = potential(e, attractor, p)
@@ -56,11 +56,11 @@ def stored(e: Scalar, attractor: Attractor, p: Params) -> jax.Array:
 
 
 def lyapunov(e: Scalar, v: Scalar, attractor: Attractor, p: Params) -> jax.Array:
-    """V, J, of the appendix: kinetic energy and what the attractor has stored.
+    """The Lyapunov function V (J) of the appendix: kinetic energy and the attractor's energy.
 
         V_K  = I v^2/2 + E_K(e)           diverging
         V_AA = I v^2/2 + E_AA(e) + E_C    converging
 
-    Constant between switches while the reference rests and nothing else pushes the joint.
+    V is constant between switches while x_h is constant and no other torque acts on the joint.
     """
     return 0.5 * p.I * v**2 + stored(e, attractor, p)

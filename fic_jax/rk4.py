@@ -1,7 +1,7 @@
 """One plant step by classic RK4, Simulink's ode4: I x'' = torque - tau_env.
 
-Branch, e_M and x_h are constant within the step. The force profile and the contact switch at
-whichever stage meets them, which costs an error of first order (events.py locates them instead).
+Branch, e_M and x_h are constant within the step. Each stage evaluates profile and contact at its
+own x and v, so a switch within the step causes an error of first order (events.py locates it).
 """
 
 from dataclasses import dataclass
@@ -16,10 +16,10 @@ from fic_jax.params import Model, Params, Scalar
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Motion:
-    """Position, velocity, and the work that the controller has done in this plant step.
+    """Position, velocity, and the controller's work in this plant step.
 
-    Also one number for each of the three: rates of change (rad/s, N*m for the velocity, W), and
-    step sizes (s, s/(kg*m^2), s).
+    Two other triples have this type: rates of change (rad/s, N*m for the velocity, W) and step
+    sizes (s, s/(kg*m^2), s).
     """
 
     x: Scalar  # rad
@@ -39,9 +39,9 @@ def net_torque(
 
 
 def step_sizes(p: Params, h: Scalar) -> Motion:
-    """The factors of the rates in a step of `h` seconds: for the velocity h/I, since I v' is given.
+    """What multiplies the rates in a step of `h` seconds: h, and h/I for the velocity's rate I v'.
 
-    Dividing the torque by I at each stage would delay the next stage.
+    A division by I at each stage would delay the next stage.
     """
     return Motion(h, h * (1.0 / p.I), h)
 

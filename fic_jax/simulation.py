@@ -1,4 +1,4 @@
-"""One plant step of one scenario, and a rollout of many: where time advances."""
+"""One plant step of one scenario, a rollout of many steps, and the controller alone."""
 
 import dataclasses
 from dataclasses import dataclass, field, replace
@@ -26,23 +26,23 @@ from fic_jax.rk4 import Motion, advance
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Memory:
-    """What the controller remembers from one control instant to the next."""
+    """The controller's memory between two calls of `control`, or two plant steps (scalars)."""
 
     x_h: Scalar  # rad, exploring reference (Algorithm 2)
     e_M: Scalar  # rad, signed peak error (Algorithm 1)
     e_last: Scalar  # rad, |e| at the last decision (rk4_events: at the end of the last step)
     countdown: Scalar  # plant steps until Algorithm 2 ticks, int32
-    # Of the converging branch, where a loop with constant parameters carries them (`with_slopes`);
-    # None: every step computes them from its own parameters.
+    # Of the converging branch, in a loop with constant parameters (`with_slopes`). None: each step
+    # computes them from its own parameters.
     slopes: Slopes | None = None
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class State:
-    """One scenario between two plant steps."""
+    """One scenario between two plant steps (scalars)."""
 
-    k: Scalar  # plant steps taken, int32; time is k * dt, never summed
+    k: Scalar  # plant steps taken, int32; time is k * dt, not a sum
     x: Scalar  # rad
     v: Scalar  # rad/s
     measured: Scalar  # N*m, what Algorithm 2 will read (Model.feedback)
@@ -56,7 +56,7 @@ def _signal(unit: str, meaning: str) -> Any:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Sample:
-    """The signals at the end of plant step k, at time (k + 1) dt."""
+    """The signals at the end of plant step k (from 0), time (k + 1) dt; scalars or [n_steps]."""
 
     t: Scalar = _signal("s", "time")
     x: Scalar = _signal("rad", "position")
@@ -74,10 +74,10 @@ SIGNALS = {f.name: f.metadata for f in dataclasses.fields(Sample)}
 
 
 def init(params: Params, model: Model = Model()) -> State:
-    """State before the first step: at x_init, v_init, with the reference at xd + Td/K0.
+    """The state before the first plant step: at x_init and v_init, with x_h = xd + Td/K0.
 
-    Algorithm 2 first reads the torque of the initial state (`interaction`) or, the motor not
-    having acted yet, zero (`motor`); it ticks at the first step.
+    Algorithm 2 ticks at the first step. It then reads tau_env of the initial state (`interaction`),
+    or 0 N*m, as the motor has not acted (`motor`). Checks no values.
     """
     p = canonical(params)
     at_rest = jnp.zeros_like(p.x_init)
@@ -90,7 +90,7 @@ def init(params: Params, model: Model = Model()) -> State:
 
 
 def with_slopes(p: Params, state: State) -> State:
-    """The state for a loop with constant parameters, which computes slopes once a branch."""
+    """The state for a loop with constant parameters: slopes are computed once for each branch."""
     linear = 2.0 * p.K0  # for a peak error of 0
     slopes = Slopes(linear, linear, jnp.zeros_like(p.x_init))
     return replace(state, memory=replace(state.memory, slopes=slopes))
@@ -110,7 +110,7 @@ def decide(
 def _decide_and_advance_located(
     p: Params, state: State, start: Motion, model: Model, dt: Scalar
 ) -> tuple[Memory, Attractor, Motion]:
-    """The same with located switches: the branch is chosen anew at each switch in the step."""
+    """`decide` and advance in one: each segment of a located step decides its own branch."""
     memory = state.memory
     x_h, countdown = explore(memory.x_h, memory.countdown, state.x, state.measured, p, dt)
     motion, attractor = advance_located(
@@ -162,7 +162,7 @@ def plant_step(p: Params, state: State, model: Model, dt: Scalar) -> tuple[State
 def sampled(
     p: Params, state: State, model: Model, h: Scalar, substeps: int
 ) -> tuple[State, Sample]:
-    """`substeps` plant steps of `h` seconds, the sample of the last, and the work of all."""
+    """`substeps` plant steps of `h` seconds: the last one's sample, with the work of all."""
 
     def one(state: State) -> tuple[State, Sample]:
         return plant_step(p, state, model, h)
@@ -198,10 +198,10 @@ def step(
 ) -> tuple[State, Sample]:
     """Advance one scenario by one plant step of `dt` seconds.
 
-    In this order: explore (Algorithm 2, if it ticks), decide (Algorithm 1: branch and e_M), advance
-    (RK4), measure. Scalars in, scalars out; composes with vmap, scan, grad and the caller's jit.
-    Parameters may change from step to step. Only another `model` compiles again. Values are not
-    checked here: `period` has to be a whole multiple of `dt`.
+    The order is: explore (Algorithm 2, if it ticks), decide (Algorithm 1: branch and e_M), advance
+    (RK4 on I x'' = torque - tau_env), measure. Arguments and results are scalars; vmap, scan, grad
+    and the caller's jit apply. Parameters may change from step to step. Another `model` compiles
+    again, other values do not. Checks no values: `period` must be a whole multiple of `dt`.
     """
     p, dt = canonical_with(params, dt)
     return compiled_step(p, state, model, dt)
@@ -217,12 +217,13 @@ def control(
     model: Model = Model(),
     dt: Scalar,
 ) -> tuple[jax.Array, Memory]:
-    """The controller alone, for somebody else's plant: torque (N*m) and the new memory.
+    """The controller without a plant: its torque (N*m) and its new memory (Algorithms 1 and 2).
 
-    Jitted; call it once every `dt` seconds with the position x (rad), velocity v (rad/s) and
-    measured torque (N*m); `init(params, model).memory` is the first memory. `Params.period` must
-    be a multiple of `dt`. Of `params` only the controller's own fields are read, of `model` all
-    but `contact` and `integrator`: the plant is yours.
+    Call it once every `dt` seconds with the position x (rad), the velocity v (rad/s) and the
+    measured torque (N*m) of your plant, all scalars. The first memory is
+    `init(params, model).memory`. It uses no field of `params` that describes inertia, environment
+    or initial state, and neither `contact` nor `integrator` of `model`. Compiled by jax.jit.
+    Checks no values: `period` must be a whole multiple of `dt`.
     """
     p, dt = canonical_with(params, dt)
     x, v, tau_measured = (strong(a, dt.dtype) for a in (x, v, tau_measured))
@@ -239,9 +240,13 @@ def compiled_control(
 
 
 def rollout(params: Params, *, model: Model = Model(), dt: Scalar, n_steps: int) -> Sample:
-    """Simulate one scenario from `init`; returns Sample with a leading time axis [n_steps].
+    """Simulate one scenario from `init` over `n_steps` plant steps of `dt` seconds.
 
-    Raises ParamsError if a concrete value is out of bounds.
+    Takes Params with scalar leaves; returns Sample with leaves [n_steps]. The order of a step is
+    that of `step`. vmap, grad and the caller's jit apply.
+
+    Raises ParamsError if a value is out of bounds. Values under the caller's jit or vmap are not
+    checked.
     """
     p, dt = checked(params, dt, n_steps)
     return compiled_rollout(p, model, dt, n_steps)

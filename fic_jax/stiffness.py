@@ -1,4 +1,4 @@
-"""The fastest motion of a scenario, which a plant step has to resolve."""
+"""The fastest rate of the closed loop, which limits the plant step (RK4: rate * dt < 2.8)."""
 
 import numpy as np
 
@@ -8,9 +8,8 @@ from fic_jax.params import Params
 def fastest_rate(p: Params) -> float:
     """Largest |eigenvalue| (1/s) of I s^2 + D s + K = 0 over the scenarios.
 
-    K is the environment's stiffness plus the steepest the controller gets: 2 K0 while converging
-    in the linear zone, or dF/b where the profile starts to saturate (eq. 1; where dF < 0 the
-    torque is cut off there and flat).
+    K is Kenv plus the largest stiffness of the controller: 2 K0, converging in the linear zone, or
+    dF/b, at |e| = x0 on the curve of eq. 1 (dF < 0: the torque is limited to Fmax, hence constant).
     """
     b = (np.asarray(p.xb) - p.x0) / p.S
     steepest = np.maximum(2.0 * np.asarray(p.K0), (p.Fmax - np.asarray(p.K0) * p.x0) / b)

@@ -10,7 +10,7 @@ import jax
 import fic_jax
 from sweeps.compile_cache import VARIABLE
 
-# Before the backend starts: what the engine wants, and two devices wherever the tests run.
+# Before JAX starts: the engine's XLA flags, and two devices on any machine.
 fic_jax.tune_for_throughput(2)
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")

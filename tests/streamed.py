@@ -1,4 +1,4 @@
-"""The metrics of samples that are there already, added up as a sweep adds them."""
+"""The metrics of given samples, summed by the functions that a sweep uses."""
 
 from functools import partial
 

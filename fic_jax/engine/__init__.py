@@ -1,6 +1,6 @@
-"""N scenarios: sweeps and histories, backends, devices. The physics knows nothing of any of them.
+"""N scenarios: sweeps, histories, backends and devices. The physics imports nothing from here.
 
-    sweeping.py     `sweep`: chooses a backend, and what each compiles: one scenario's time loop
+    sweeping.py     `sweep`: chooses a backend, which compiles the time loop of one scenario
     histories.py    `histories`: the motion of N scenarios as an xarray.Dataset
     xla.py          backend: XLA, in blocks of one fixed shape, over all devices
     pallas.py       backend: the same blocks as one kernel of a GPU
@@ -8,7 +8,7 @@
     tuning.py       `tune_for_throughput`: XLA's flags and the number of cores
 
 A sweep compiles one program per (backend, model, number of steps, dtype, devices). A scenario's
-bits depend on nothing else: not on N, its neighbours, the number of devices or the chunking.
+bits depend on nothing else: not on N, its neighbours, the number of devices or of calls.
 """
 
 from fic_jax.engine.histories import histories

@@ -1,4 +1,4 @@
-"""`histories`: time histories of N scenarios, labelled, for pictures and for looking inside."""
+"""`histories`: the signals of N scenarios over time, labelled."""
 
 import dataclasses
 from functools import partial
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 def histories(
     batch: Params, *, model: Model = Model(), dt: float, n_steps: int, every: int = 1
 ) -> "xr.Dataset":
-    """Simulate N scenarios and keep their motion: Params with [N] leaves (scalars broadcast).
+    """Simulate N scenarios over `n_steps` plant steps of `dt` seconds and return their signals.
 
-    Returns an xarray.Dataset with dimensions (scenario, time): the signals of `Sample`, at the end
-    of every `every`-th plant step; `work` is that of the steps since the last sample. Coordinates
-    are `time` in s and the fields of Params, along `scenario` where they vary.
+    Takes Params with [N] leaves (scalars broadcast). Returns an xarray.Dataset with dimensions
+    (scenario, time): the signals of `Sample` with their units, at the end of every `every`-th plant
+    step. `work` is the work since the last sample. Coordinates are `time` (s) and the fields of
+    Params, along `scenario` where they vary. Floats have the dtype of the leaves. A sample of one
+    scenario takes 33 bytes in float32 and 65 in float64; `sweep` stores no samples.
 
-    A history takes 8 to 80 bytes a sample; `sweep` keeps none. Floats have the dtype of the leaves.
-
-    Raises ParamsError if a value is out of bounds, the leaves' shapes differ, or `every` does not
-    divide `n_steps`.
+    Raises ParamsError if a value is out of bounds, if leaves have different lengths, or if `every`
+    does not divide `n_steps`.
     """
     import xarray as xr  # half a second with pandas, and a sweep needs neither
 

@@ -1,7 +1,7 @@
-"""The backend `pallas`: many scenarios as one kernel of a GPU, with their state in registers.
+"""The backend `pallas`: one GPU kernel for all scenarios, with their state in registers.
 
-`lax.scan` launches several kernels a plant step there (jax#2491). Here the grid runs over blocks of
-scenarios, one a thread; each block traces the function that the backend `xla` compiles too.
+On a GPU `lax.scan` launches several kernels for each plant step (jax#2491). Here one kernel's grid
+runs over blocks of scenarios, one scenario a thread. Both backends trace the same function.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax.experimental import pallas as pl
 from jax.experimental.pallas import triton
 
-WARP = 32  # threads that step together
+WARP = 32  # threads that execute together
 
 
 def in_one_kernel(
@@ -21,8 +21,8 @@ def in_one_kernel(
     """`run` over many blocks: columns [field, block, lane], dt, blocks -> leaves [block, lane].
 
     `run` takes a list of [lane] columns and dt to a pytree of [lane] arrays with the types of
-    `result`; blocks beyond the first `blocks` are not computed. `interpret`: by XLA, on
-    any device.
+    `result`; blocks beyond the first `blocks` are not computed. With `interpret`
+    XLA computes the kernel, on any device.
     """
     leaves, tree = jax.tree.flatten(result)
 

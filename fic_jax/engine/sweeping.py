@@ -24,7 +24,7 @@ Backend = Literal["auto", "lanes", "xla", "pallas"]
 # longer to compile; a located step is long enough by itself.
 UNROLL = {"rk4": 2, "rk4_events": 1}
 
-# What a user loses where "auto" can't take the fast backend.
+# What a user loses where "auto" cannot use the fast backend.
 SLOWER = {
     "lanes": "the lane compiler is not available {where}: XLA compiles the sweep instead, expect "
     "two fifths of the speed; `pip install llvmlite` if it is missing",
@@ -69,19 +69,22 @@ def sweep(
     error_estimate: bool = False,
     backend: Backend = "auto",
 ) -> Metrics | tuple[Metrics, Metrics]:
-    """Evaluate N scenarios: Params with [N] leaves (scalars broadcast) to Metrics of [N] arrays.
+    """Metrics of N scenarios over `n_steps` plant steps of `dt` seconds.
 
-    All cores of a CPU (`tune_for_throughput` may choose fewer) or all local GPUs share the work.
-    A scenario's result depends neither on N nor on its neighbours nor on the sharing, bit for bit.
-    The dtype follows the leaves. With `error_estimate` also the estimated error of every metric
-    (`evaluate_with_error`), at several times the cost.
+    Takes Params with [N] leaves (scalars broadcast); returns Metrics with NumPy leaves [N]. With
+    `error_estimate` it returns two: the metrics and their estimated errors (`evaluate_with_error`),
+    at several times the cost. JAX's promotion of the leaves gives the dtype.
 
-    backend: `auto`, the fastest here, or one of
+    All cores of a CPU (or as many as `tune_for_throughput` was given) or all local GPUs share the
+    work. The bits of a scenario do not depend on N, on its neighbours or on this sharing.
+
+    backend: `auto`, the fastest on this device, or one of
         `lanes` this package's compiler for the vector registers of a CPU (needs llvmlite)
         `xla` XLA, on any device
         `pallas` one kernel on a GPU; elsewhere interpreted, slowly
 
-    Raises ParamsError if a value is out of bounds or the leaves' shapes differ.
+    Raises ParamsError if a value is out of bounds or leaves have different lengths. A backend that
+    is chosen by name raises if it is not available; `auto` warns and uses `xla`.
     """
     if backend not in get_args(Backend):
         raise ParamsError("backend", repr(backend), "one of " + ", ".join(get_args(Backend)))
@@ -106,7 +109,7 @@ def length(leaves: Sequence[np.ndarray]) -> int:
 
 
 def arithmetic(backend: Backend = "auto") -> str:
-    """What decides a number's last bits here: the backend, and whether it fuses multiply-adds."""
+    """The backend and whether it fuses multiply-adds, e.g. "lanes fused": they decide last bits."""
     if backend == "auto":
         backend = fastest(jax.local_devices()[0].platform)
         if backend == "lanes" and importlib.util.find_spec("llvmlite") is None:
@@ -135,7 +138,7 @@ def _program(
     dtype: np.dtype,
     devices: tuple[jax.Device, ...],
 ) -> Program:
-    """One program for these devices; with `auto` XLA's, and a warning, where the fastest fails."""
+    """One program for these devices. If `auto` cannot use the fastest backend, it warns: XLA's."""
     chosen = fastest(devices[0].platform) if backend == "auto" else backend
     result = result_types(model, error_estimate, dtype)
     if chosen == "lanes":

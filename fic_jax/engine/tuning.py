@@ -1,4 +1,4 @@
-"""What sweeps want from XLA and from the cores, set once before JAX starts."""
+"""`tune_for_throughput`: XLA's flags and the number of cores, set once before JAX starts."""
 
 import os
 import warnings
@@ -16,17 +16,16 @@ CPU_FLAGS = (
     "xla_cpu_use_multi_output_fusion=true,xla_cpu_disable_tiled_emitter",
     "--xla_cpu_prefer_vector_width=512",
 )
-# XLA ends the process on a flag it does not know, so only versions tried get any.
+# XLA ends the process on an unknown flag, so only the versions that we tried get any.
 TRIED_JAXLIB = ("0.10.", "0.11.", "0.12.")
 
 
 def tune_for_throughput(devices: int | None = None) -> None:
-    """Use `devices` CPU devices (default: all cores), and make XLA compile for sweeps.
+    """Give sweeps `devices` CPU cores (default: all) and the XLA flags that make them fast.
 
-    Sweeps on a CPU then use that many cores. The flags matter for the backend `xla`.
-
-    Call it before JAX starts: it sets `jax_num_cpu_devices` and this process's XLA_FLAGS, to which
-    it only adds. On a jaxlib that was never tried with the flags it leaves them out and warns.
+    Call it before JAX starts. It sets `jax_num_cpu_devices` and adds to this process's XLA_FLAGS,
+    which the backend `xla` needs. It does not replace flags that are set, and it adds none on a
+    jaxlib that was not tried with them; in both cases it warns.
 
     Raises RuntimeError if JAX has already started.
     """

@@ -1,7 +1,7 @@
 """The backends `xla` and `pallas`: one program of one fixed block shape, run as often as N needs.
 
 XLA may round differently in programs of different shapes; one shape makes a scenario's bits
-independent of N, of its neighbours and of the chunking.
+independent of N, of its neighbours and of the number of calls.
 """
 
 import warnings
@@ -30,7 +30,7 @@ class InBlocks:
     result: Any  # structure and types of one scenario's results
     sharding: NamedSharding  # of the columns
     n_devices: int
-    blocks: int  # that a call holds for each device
+    blocks: int  # for each device, in one call
 
     def __call__(self, leaves: Sequence[np.ndarray], dt: np.ndarray) -> Any:
         """Results with leaves [N] of scenarios with quantities `leaves`, [N] each."""
@@ -71,9 +71,9 @@ def in_blocks(
     dtype: np.dtype,
     devices: Sequence[jax.Device],
 ) -> InBlocks:
-    """One program for all devices that runs `scenario(column, dt)` for [device, block, lane].
+    """One program for all devices that computes `scenario(column, dt)` for [device, block, lane].
 
-    The number of blocks is a value, not a shape: a ragged end runs the same code on fewer blocks.
+    The number of blocks is a value, not a shape: the last call runs the same code on fewer blocks.
     `backend` is xla, pallas, or interpreted: Pallas' kernel without a GPU.
     """
     if backend == "xla":

@@ -5,23 +5,23 @@ compiler keeps the state of each scenario in registers from the first iteration 
 scenario a vector lane, and shares the columns among threads.
 
     lane_map(function)(columns, ...)    the public function (mapping.py)
-    where_rare(condition, f, other)     a `jnp.where` whose first arm may be jumped over (hints.py)
-    Untranslatable                      the function needs more than this compiler has
+    where_rare(condition, f, other)     a `jnp.where` whose first arm may be skipped (hints.py)
+    Untranslatable                      the function uses an operation that is not supported
 
-How it works, one file a step; kernel.py is the list of them in order:
+Each step of the compiler is one file; kernel.py calls them in this order:
 
     trace.py          JAX traces the function to a jaxpr; calls are inlined into a graph
-    graph.py          scalar operations with loops and branches; equal operations are one node
+    graph.py          the graph: scalar operations, loops, branches; equal operations are one node
     commoning.py      pass: predictive commoning, an iteration reuses values of the last one
-    fma.py            pass: FMA contraction, a product and its only sum are rounded once
-    branches.py       pass: coherent branches, what only a `where_rare` uses is jumped over where
-                      no lane of the vector needs it
+    fma.py            pass: FMA contraction, a product and the sum that uses it are rounded once
+    branches.py       pass: coherent branches, a vector skips the rare arm of a `where_rare` if no
+                      lane needs it
     emit.py           LLVM IR of the graph: function, loops, branches
     instructions.py   LLVM IR of one operation: masks, comparisons, conversions, exp
     objects.py        LLVM compiles for this processor; object files are cached (sources.py)
 
 Bits depend on the function, its arguments and whether the processor has fused multiply-adds.
-They do not depend on the width of the registers, on neighbours, threads or branches.
+They do not depend on the width of the registers, on neighbours, on threads or on branches.
 
 The package imports jax, numpy and, late, llvmlite. It imports nothing else of fic_jax.
 """

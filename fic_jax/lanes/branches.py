@@ -1,4 +1,4 @@
-"""Coherent branches: jump over the rare arm of a `where_rare` where no lane needs it."""
+"""Coherent branches: a vector skips the rare arm of a `where_rare` if no lane needs it."""
 
 from collections.abc import Sequence
 
@@ -6,10 +6,10 @@ from fic_jax.lanes.graph import Branch, Graph, Node, live, replace, users_of
 
 
 def branch_out(graph: Graph, roots: list[Node]) -> None:
-    """Move what only the rare arm of a hint uses into a branch, outer hints first.
+    """Move the nodes that only a rare arm uses into a branch, outer hints first.
 
-    The select itself moves too: inside, it picks per lane; if no lane meets the condition, the
-    branch's results are the other arm. Bits therefore do not depend on the neighbours.
+    The select moves too: in the branch it chooses for each lane. If no lane meets the condition,
+    the results are the other arm. So the bits do not depend on the neighbours.
     """
     hints = sorted({n.value for n in live(roots) if n.op == "select_n" and n.value is not None})
     for hint in hints:
@@ -19,7 +19,7 @@ def branch_out(graph: Graph, roots: list[Node]) -> None:
 
 
 def _into_branch(graph: Graph, selects: Sequence[Node], roots: list[Node]) -> None:
-    """Make a branch of some selects on one condition and of what only their rare arm uses."""
+    """Put selects on one condition, and the nodes that only their rare arm uses, into a branch."""
     everything, scope = live(roots), selects[0].scope
     users = users_of(everything)
     inside = dict.fromkeys(selects)
@@ -48,7 +48,7 @@ def _into_branch(graph: Graph, selects: Sequence[Node], roots: list[Node]) -> No
 
 
 def _where_used(graph: Graph, condition: Node, select: Node, users: set[Node]) -> Node:
-    """The condition, and that of the only select that uses this one."""
+    """The path predicate: the condition, and that of the only select that uses this one, if any."""
     user = users.pop()
     chooses = user.op == "select_n" and user.args.count(select) == 1 and user.args[0] is not select
     if users or not chooses or user.scope is not select.scope:

@@ -1,4 +1,4 @@
-"""Predictive commoning: an iteration reuses what the last one has computed."""
+"""Predictive commoning: an iteration reuses a value that the last iteration has computed."""
 
 from collections.abc import Iterable, Sequence
 
@@ -26,11 +26,11 @@ def common(graph: Graph, roots: Sequence[Node]) -> None:
 def _same_operation(
     graph: Graph, nodes: Iterable[Node], instead: dict[Node, Node]
 ) -> dict[Node, Node | None]:
-    """For each of the nodes, in order, the existing node with the same operation on `instead`."""
-    found: dict[Node, Node | None] = {}
+    """For each node: the existing node of its operation on the operands `instead`, or None."""
+    same: dict[Node, Node | None] = {}
     for node in nodes:
-        args = [instead[a] if a in instead else found.get(a, a) for a in node.args]
+        args = [instead[a] if a in instead else same.get(a, a) for a in node.args]
         known = [a for a in args if a]
         complete = bool(args) and len(known) == len(args)
-        found[node] = graph.known(node.op, known, node.kind, node.value) if complete else None
-    return found
+        same[node] = graph.known(node.op, known, node.kind, node.value) if complete else None
+    return same

@@ -75,7 +75,7 @@ class _Writer:
         return str(build.module)
 
     def _as_kind(self, node: Node, loaded: Any) -> Any:
-        """A number as it lies in memory, as one of the node's kind."""
+        """A loaded number as a value of the node's kind."""
         if node.kind == "f":
             return loaded
         whole = self.build.bitcast(loaded, self.instructions.alike("i", loaded.type))
@@ -85,7 +85,7 @@ class _Writer:
         return self.instructions.compared("!=", "i", whole, zero)
 
     def compute(self, roots: Iterable[Node]) -> None:
-        """Everything the roots need that is not computed yet."""
+        """Write the instructions of all nodes that the roots need and that have no value yet."""
         for node in ordered(roots, lambda n: () if n in self.values else n.needs()):
             if node in self.values:
                 continue
@@ -98,7 +98,7 @@ class _Writer:
                 self.define(node, self.instructions.of(node, args))
 
     def loop(self, loop: Loop) -> None:
-        """A loop and its results."""
+        """Write a loop and define its results."""
         build, before = self.build, self.build.block
         phis = [n for n in self.live if n.op == "phi" and n.of is loop]
         results = [n for n in self.live if n.op == "result" and n.of is loop]
@@ -112,7 +112,7 @@ class _Writer:
             self.define(phi, value)
         self.compute(loop.outs[i] for i in sorted({n.value for n in (*phis, *results)}))
         outs = [self.get(loop.outs[p.value], p.uniform) for p in phis]
-        found = [self.get(loop.outs[r.value], r.uniform) for r in results]
+        last = [self.get(loop.outs[r.value], r.uniform) for r in results]
         following = build.add(k, INT32(1))
         starts, nexts = [INT32(0), *inits], [following, *outs]
         for value, start, out in zip([k, *carried], starts, nexts, strict=True):
@@ -120,11 +120,11 @@ class _Writer:
             value.add_incoming(out, build.block)
         build.cbranch(build.icmp_signed("<", following, INT32(loop.length)), body, after)
         build.position_at_end(after)
-        for result, value in zip(results, found, strict=True):
+        for result, value in zip(results, last, strict=True):
             self.define(result, value)
 
     def branch(self, branch: Branch) -> None:
-        """A branch and its results."""
+        """Write a branch and define its results."""
         build = self.build
         results = [n for n in self.live if n.op == "result" and n.of is branch]
         instead = [self.get(branch.otherwise[r.value], uniform=False) for r in results]
@@ -134,11 +134,11 @@ class _Writer:
         build.cbranch(any_lane, then, after)
         build.position_at_end(then)
         self.compute(branch.outs[r.value] for r in results)
-        found = [self.get(branch.outs[r.value], uniform=False) for r in results]
+        computed = [self.get(branch.outs[r.value], uniform=False) for r in results]
         then = build.block
         build.branch(after)
         build.position_at_end(after)
-        for result, value, other in zip(results, found, instead, strict=True):
+        for result, value, other in zip(results, computed, instead, strict=True):
             either = build.phi(value.type)
             either.add_incoming(value, then)
             either.add_incoming(other, before)

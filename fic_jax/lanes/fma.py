@@ -1,4 +1,4 @@
-"""FMA contraction: a product and the sum that uses it are rounded once."""
+"""FMA contraction: a product and the only sum that uses it become one operation, rounded once."""
 
 from collections.abc import Iterable
 
@@ -6,10 +6,10 @@ from fic_jax.lanes.graph import Graph, Node, live
 
 
 def contract(graph: Graph, roots: Iterable[Node]) -> None:
-    """Make a product and the only sum that uses it one fused multiply-add.
+    """Replace a product and the only sum that uses it by one fused multiply-add.
 
-    Decided here and not by LLVM, which sees only one block at a time: bits would depend on the
-    branches. Processors without the instruction multiply and add.
+    LLVM could contract too, but only within one basic block: the bits would depend on the branches.
+    Processors without the instruction multiply and add.
     """
     nodes = live(roots)
     n_uses = dict.fromkeys(roots, 1)

@@ -14,13 +14,13 @@ import numpy as np
 ZERO = {"f": 0.0, "i": 0, "b": False}  # of each kind of number
 
 
-class Untranslatable(Exception):  # noqa: N818  no error of the caller's: XLA can do it
-    """The traced function uses something that the lane compiler has no instruction for."""
+class Untranslatable(Exception):  # noqa: N818  not the caller's error: XLA can compile it
+    """The traced function uses an operation that the lane compiler does not support."""
 
 
 @dataclass(eq=False)
 class Scope:
-    """A loop or a branch: where nodes are computed, if not once for the whole function."""
+    """A loop or a branch. A node is computed in a scope, or (None) once for the whole function."""
 
     outer: "Scope | None"
     outs: "list[Node]" = field(default_factory=list)
@@ -56,7 +56,7 @@ class Loop(Scope):
 
 @dataclass(eq=False)
 class Branch(Scope):
-    """Computed if any lane meets the condition; if none does, the results are `otherwise`."""
+    """A branch, entered if any lane meets the condition; if not, its results are `otherwise`."""
 
     condition: "Node" = field(kw_only=True)
     otherwise: "list[Node]" = field(default_factory=list)
@@ -90,7 +90,7 @@ class Node:
     of: Any = None  # the loop or branch whose phi or result it is
 
     def uses(self) -> "tuple[Node, ...]":
-        """The nodes it is made of: its operands; of a phi or result what leaves its scope."""
+        """Its operands; for a phi or result, the nodes that its loop or branch makes it of."""
         return self.of.makes(self.value) if self.of else self.args
 
     def before(self) -> "tuple[Node, ...]":
@@ -100,7 +100,7 @@ class Node:
         return (*self.of.outs, *self.of.entered_with())
 
     def needs(self) -> "tuple[Node, ...]":
-        """The nodes of its scope, or around, that are computed before it (after `capture`)."""
+        """The nodes outside its loop or branch that it needs first (call `capture` before)."""
         return tuple(self.of.captured) if self.op == "result" else self.args
 
     def __repr__(self) -> str:
@@ -114,7 +114,7 @@ def depth(scope: Scope | None) -> int:
 
 
 class Graph:
-    """Makes nodes: each operation on the same operands once."""
+    """Makes nodes; the same operation on the same operands is one node."""
 
     def __init__(self, dtype: np.dtype) -> None:
         self.dtype = dtype
@@ -139,7 +139,7 @@ class Graph:
         return (op, *(a.id for a in args), kind, repr(value))
 
     def forget(self, nodes: Iterable[Node]) -> None:
-        """Share these nodes, and those that depend on them, with no later operation."""
+        """Let later operations share neither these nodes nor those that depend on them."""
         gone = set(nodes)
         for node in sorted(self._known.values(), key=lambda node: node.id):
             if not gone.isdisjoint(node.args):
@@ -167,7 +167,7 @@ class Graph:
 
 
 def live(roots: Iterable[Node]) -> list[Node]:
-    """All nodes the roots depend on, also through iterations, in an order to compute them."""
+    """All nodes that the roots depend on, also through iterations, in topological order."""
     seen: set[Node] = set()
     stack = list(roots)
     while stack:
@@ -201,7 +201,7 @@ def ordered(roots: Iterable[Node], before: Callable[[Node], Iterable[Node]]) -> 
 
 
 def users_of(nodes: Iterable[Node]) -> dict[Node, set[Node]]:
-    """The users of each of the live nodes, in operands or in what leaves a loop or branch."""
+    """The users of each of the live nodes (`Node.uses`)."""
     users: dict[Node, set[Node]] = {n: set() for n in nodes}
     for node in nodes:
         for used in node.uses():
@@ -210,7 +210,7 @@ def users_of(nodes: Iterable[Node]) -> dict[Node, set[Node]]:
 
 
 def replace(nodes: Iterable[Node], instead: dict[Node, Node], but: Collection[Node] = ()) -> None:
-    """Have the live `nodes`, except `but`, and their loops and branches use other nodes."""
+    """Replace operands of the live `nodes`, except `but`, and of their loops and branches."""
     scopes: dict[Any, None] = {}
     for node in nodes:
         if node not in but and not instead.keys().isdisjoint(node.args):
@@ -222,7 +222,7 @@ def replace(nodes: Iterable[Node], instead: dict[Node, Node], but: Collection[No
 
 
 def capture(nodes: Iterable[Node]) -> None:
-    """Note for each loop and branch the nodes from outside that the live `nodes` in it use."""
+    """Record for each loop and branch the outer nodes that the live `nodes` in it use."""
 
     def note(scope: Scope | None, used: Node) -> None:
         while scope is not used.scope:

@@ -1,4 +1,4 @@
-"""A hint to the lane compiler, for code that stays free of branches everywhere else."""
+"""`where_rare`: a `jnp.where` that hints to the lane compiler which arm is rare."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,13 +10,13 @@ RARE = "where_rare"  # the name of the traced function, by which the compiler kn
 
 
 def where_rare(condition: Any, compute: Callable[[], Any], otherwise: Any) -> Any:
-    """`jnp.where(condition, compute(), otherwise)` for scalars or pytrees of them.
+    """`jnp.where(condition, compute(), otherwise)`, of which the lane compiler may skip `compute`.
 
-    Under jit, vmap, grad, XLA and Pallas both arms are computed, as with any `where`: each has to
-    be finite where the other is taken. The lane compiler jumps over what `compute` alone needs
-    where no lane meets the condition. The result is the same, bit for bit.
-
-    `compute` takes no arguments and returns the structure of `otherwise`.
+    `condition` is a bool scalar; `compute` takes no arguments and returns scalars in the structure
+    and types of `otherwise` (a pytree). XLA and Pallas compute both arms, as with `jnp.where`: for
+    finite gradients each arm has to be finite where the other one is chosen. The lane compiler
+    skips the operations that only `compute` uses if no lane of a vector meets the condition. The
+    bits of the result are the same.
     """
 
     def where_rare(condition: Any, otherwise: Any) -> Any:

@@ -1,7 +1,7 @@
 """LLVM instructions for one operation, on a scalar or on a vector of lanes.
 
 A bool is a mask. With mask registers (AVX-512) it is one bit, LLVM's own type. Without them it is
-an integer of the floats' width, all ones or zero: bits would be packed and unpacked at every jump.
+an integer of the floats' width, all ones or zero: bits would be packed and unpacked at each jump.
 """
 
 from collections.abc import Sequence
@@ -99,7 +99,7 @@ class Instructions:
         return self.build.select(unknown, x, one)
 
     def where(self, mask: Any, value: Any) -> Any:
-        """The value in the lanes of the mask, all bits 0 elsewhere."""
+        """The value in the lanes of the mask, 0 (all bits) in the others."""
         whole = self.alike("i", value.type)
         bits = self.build.and_(self.widened(mask, whole), self.build.bitcast(value, whole))
         return self.build.bitcast(bits, value.type)
@@ -146,7 +146,7 @@ class Instructions:
         return method(node, *args)
 
     def _select_n(self, node: Node, condition: Any, no: Any, yes: Any) -> Any:
-        """A blend; with zero, a bitwise and is cheaper."""
+        """A blend, or if one arm is zero a bitwise and, which is cheaper."""
         _, if_not, if_so = node.args
         if self.bool.width > 1 and node.kind != "b":
             if _no_bits(if_not):

@@ -1,4 +1,4 @@
-"""The public function: signatures, columns in parts, threads."""
+"""`lane_map`, the public function: it compiles once for each signature and shares the columns."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -43,12 +43,12 @@ class LaneMap:
 
         def part(start: int) -> None:
             stop = min(start + size, n)
-            given = np.empty((len(columns), _whole(stop - start, kernel.lanes)), dtype)
-            for row, column in zip(given, columns, strict=True):
+            arguments = np.empty((len(columns), _whole(stop - start, kernel.lanes)), dtype)
+            for row, column in zip(arguments, columns, strict=True):
                 row[: stop - start] = _as_bits(column[start:stop], dtype)
                 row[stop - start :] = row[stop - start - 1]
-            made = kernel(given, uniforms)[:, : stop - start]
-            for row, values in zip(made, jax.tree.leaves(out), strict=True):
+            results = kernel(arguments, uniforms)[:, : stop - start]
+            for row, values in zip(results, jax.tree.leaves(out), strict=True):
                 whole = row if values.dtype.kind == "f" else row.view(f"i{dtype.itemsize}")
                 values[start:stop] = whole
 
@@ -94,9 +94,9 @@ def lane_map(
     key: str | None = None,
     result: Any = None,
 ) -> LaneMap:
-    """Map a function of scalars over columns, on this CPU's vector registers and cores.
+    """`jax.jit(jax.vmap(function))` on this CPU's vector registers and cores.
 
-    What `jax.jit(jax.vmap(function))` computes, for functions that spend their time in a loop:
+    For functions of scalars that spend their time in a loop:
 
         def oscillator(k, c):                 # scalars (or pytrees of them) in and out
             def step(_, s):
@@ -111,13 +111,12 @@ def lane_map(
     sees it). A lane's result depends on its own arguments alone, bit for bit: not on N, on the
     neighbours, on `threads` (default: all cores) or on the width of the registers.
 
-    `key` names the function, in every version of its source, for the compile cache
-    (`jax_compilation_cache_dir`): code from the cache is neither traced nor compiled. `result`, the
-    structure and types of its results, saves tracing them too.
+    `key` names the function for the compile cache (`jax_compilation_cache_dir`): functions, and
+    versions of one function, need different keys. Cached code is neither traced nor compiled.
+    `result` is the structure and types of the results; with it they need no trace either.
 
-    Raises Untranslatable where the function uses more than elementwise arithmetic, `exp`, `where`
-    and loops of fixed length; ImportError without llvmlite; ValueError for arguments of other
-    shapes.
+    Raises Untranslatable if the function uses more than elementwise arithmetic, `exp`, `where` and
+    loops of fixed length; ImportError without llvmlite; ValueError for arguments of other shapes.
     """
     return LaneMap(function, threads, key, result)
 
@@ -139,7 +138,7 @@ def _arguments(args: Any) -> tuple[list[np.ndarray], Any, np.dtype]:
 
 
 def _whole(n: int, lanes: int) -> int:
-    """Lanes of as many vectors as n need."""
+    """n, rounded up to a whole number of vectors."""
     return -(-n // lanes) * lanes
 
 

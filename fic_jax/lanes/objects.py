@@ -58,7 +58,8 @@ class Function:
 def compiled(machine: llvm.TargetMachine, text: str) -> bytes:
     """The object file of a module.
 
-    Without LLVM's own passes: the IR is already in SSA form, and they would turn masks into bits.
+    LLVM's optimisation passes do not run: the IR is already in SSA form, and they would turn masks
+    into single bits.
     """
     module = llvm.parse_assembly(text)
     module.triple, module.data_layout = machine.triple, str(machine.target_data)
@@ -66,10 +67,10 @@ def compiled(machine: llvm.TargetMachine, text: str) -> bytes:
 
 
 def cached(key: str | None, machine: llvm.TargetMachine, emit: Callable[[], str]) -> bytes:
-    """The object file of what `emit` writes, from the compile cache where it is there.
+    """The object file of the IR that `emit` returns, from the compile cache if it has it.
 
-    `key` names the text among all that this package writes; without one, or without a cache
-    (`jax_compilation_cache_dir`), nothing is read or written.
+    `key` identifies this IR among all that the package emits. Without a key or without a cache
+    (`jax_compilation_cache_dir`) it reads and writes no file.
     """
     folder = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
     sources = digest(Path(__file__).parent)

@@ -1,4 +1,4 @@
-"""A digest of source files, by which compiled code is recognised in the compile cache."""
+"""A digest of source files: part of the name of compiled code in the compile cache."""
 
 import hashlib
 import time
@@ -9,9 +9,9 @@ LOADED = time.time()  # s; this process has read source files before
 
 def digest(folder: Path) -> str | None:
     """SHA-256 of a package's source files; None if one has changed since this process began."""
-    found = hashlib.sha256()
+    hashed = hashlib.sha256()
     for path in sorted(folder.rglob("*.py")):
         if path.stat().st_mtime > LOADED:
             return None
-        found.update(f"{path.relative_to(folder)}\0".encode() + path.read_bytes())
-    return found.hexdigest()
+        hashed.update(f"{path.relative_to(folder)}\0".encode() + path.read_bytes())
+    return hashed.hexdigest()

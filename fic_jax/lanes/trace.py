@@ -1,4 +1,4 @@
-"""From a scalar function, as JAX traces it, to the graph of its operations: calls are inlined."""
+"""Trace: JAX traces a scalar function to a jaxpr; its calls are inlined into one graph."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -72,7 +72,7 @@ def translated(graph: Graph, eqn: Any, args: list[Node], scope: Scope | None) ->
 
 
 def hinted(graph: Graph, node: Node, hint: int) -> Node:
-    """The select that `where_rare` ends with, as one of this hint."""
+    """The select at the end of a `where_rare`, marked with the number of this hint."""
     if node.op != "select_n" or node.uniform:  # a constant condition left no select
         return node
     return graph.node(node.op, node.args, node.kind, hint)

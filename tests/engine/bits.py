@@ -1,4 +1,4 @@
-"""Seeded scenarios and the SHA-256 of their sweeps: the numbers that this program makes.
+"""Seeded scenarios and the SHA-256 of their metrics.
 
 `python -m tests.engine.bits` records every reading of the model in tests/engine/bits.json, under
 the arithmetic of this machine; test_bits.py compares with it. Raise `fic_jax.NUMERICS` when you
@@ -59,11 +59,11 @@ def readings():
 def digest(model, dtype, error_estimate=False, **options):
     """SHA-256 of the metrics' bits, field by field in the order of their names."""
     batch = scenarios(dtype)
-    found = sweep(
+    results = sweep(
         batch, model=model, dt=DT, n_steps=N_STEPS, error_estimate=error_estimate, **options
     )
     of_bytes = hashlib.sha256()
-    for metrics in found if error_estimate else (found,):
+    for metrics in results if error_estimate else (results,):
         for name in sorted(METRICS):
             values = np.ascontiguousarray(getattr(metrics, name))
             of_bytes.update(name.encode() + np.where(np.isnan(values), 0, values).tobytes())

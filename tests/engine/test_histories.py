@@ -1,4 +1,4 @@
-"""`histories`: the motion of each scenario, labelled."""
+"""`histories`: the signals of each scenario, labelled."""
 
 import jax
 import numpy as np
@@ -9,7 +9,7 @@ from tests.engine.scenarios import DT, pick, random_batch
 
 
 @pytest.mark.parametrize("integrator", ["rk4", "rk4_events"])
-def test_each_scenario_is_its_rollout(integrator):
+def test_each_scenario_equals_its_rollout(integrator):
     batch, model = random_batch(5), Model(integrator=integrator)
     data = histories(batch, model=model, dt=DT, n_steps=60)
     assert dict(data.sizes) == {"scenario": 5, "time": 60}
@@ -20,7 +20,7 @@ def test_each_scenario_is_its_rollout(integrator):
             np.testing.assert_allclose(got, getattr(alone, name), rtol=1e-9, atol=1e-12)
 
 
-def test_labels():
+def test_units_coordinates_and_attributes():
     data = histories(Params(K0=np.array([10.0, 100.0]), Td=3.0), dt=DT, n_steps=4)
     assert data.x.dims == ("scenario", "time")
     assert (data.x.attrs["units"], data.time.attrs["units"]) == ("rad", "s")
@@ -32,7 +32,7 @@ def test_labels():
     assert data.diverging.dtype == bool
 
 
-def test_every_third_sample_and_the_work_between():
+def test_every_third_sample_has_the_work_since_the_last_one():
     batch, run = random_batch(3), {"dt": DT, "n_steps": 30}
     fine, coarse = histories(batch, **run), histories(batch, every=3, **run)
     np.testing.assert_array_equal(coarse.time, fine.time[2::3])
@@ -54,6 +54,6 @@ def test_one_scenario_and_its_dtype():
         ({"batch": Params(K0=-1.0)}, "`K0` must be positive"),
     ],
 )
-def test_refusals(changed, message):
+def test_wrong_arguments_are_refused(changed, message):
     with pytest.raises(ParamsError, match=message):
         histories(**{"batch": Params(), "dt": DT, "n_steps": 10} | changed)

@@ -1,4 +1,4 @@
-"""The backend `pallas` without a GPU: its numbers interpreted, its code lowered and not run."""
+"""The backend `pallas` without a GPU: interpreted, it gives XLA's bits; its GPU code is lowered."""
 
 import warnings
 from contextlib import nullcontext
@@ -66,7 +66,7 @@ def test_the_whole_run_is_one_triton_call(model, dtype):
 
 
 def _a_gpu():
-    """From jax 0.11 on, lowering asks what GPU it is for."""
+    """From jax 0.11 on, lowering needs the name of a GPU."""
     from jax.sharding import AbstractMesh
 
     try:

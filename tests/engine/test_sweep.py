@@ -1,4 +1,4 @@
-"""`sweep`: a scenario's bits depend on nothing but the scenario; backends, devices, refusals."""
+"""`sweep`: a scenario's bits depend on the scenario only; backends, devices, errors."""
 
 import os
 import subprocess
@@ -30,7 +30,7 @@ MODELS = [
 
 @pytest.fixture
 def compiled_anew():
-    """Programs are compiled for the test, which changes how, and are forgotten afterwards."""
+    """The test patches the compiler: compile for it, and drop the programs afterwards."""
     folder = jax.config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", None)
     sweeping._program.cache_clear()
@@ -42,7 +42,7 @@ def compiled_anew():
 @pytest.mark.parametrize("backend", ["lanes", "xla"])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_scenario_alone_equals_its_lane_among_many(backend, dtype):
-    """Bit for bit, whatever its neighbours, its place, the number of scenarios and of calls."""
+    """The same bits for any neighbours, place, number of scenarios and number of calls."""
     n = 2 * BLOCKS["xla"] * LANES + 77  # more than one call of the program, with a ragged end
     batch = random_batch(n, dtype=dtype)
     whole = sweep(batch, dt=DT, n_steps=60, backend=backend)
@@ -66,7 +66,7 @@ def test_any_block_size_gives_the_same_bits(lanes, blocks, monkeypatch, compiled
 
 
 @pytest.mark.parametrize("backend", ["lanes", "xla"])
-def test_no_scenarios_have_no_metrics(backend):
+def test_zero_scenarios_give_empty_metrics(backend):
     metrics = sweep(Params(K0=np.zeros(0)), dt=DT, n_steps=3, backend=backend)
     assert {leaf.shape for leaf in jax.tree.leaves(metrics)} == {(0,)}
 
@@ -75,15 +75,15 @@ WITH_A_FLAG = """
 import os, sys, warnings
 os.environ["XLA_FLAGS"] = "--xla_backend_extra_options=xla_cpu_use_multi_output_fusion=true"
 import fic_jax
-with warnings.catch_warnings(record=True) as told:
+with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
     fic_jax.tune_for_throughput(1)
-assert len(told) == 1 and "XLA_FLAGS already has" in str(told[0].message), told
+assert len(caught) == 1 and "XLA_FLAGS already has" in str(caught[0].message), caught
 assert os.environ["XLA_FLAGS"].count("extra_options") == 1
 """
 
 
-def test_flags_already_there_are_kept_with_a_warning():
+def test_xla_flags_that_are_set_stay_and_a_warning_names_them():
     subprocess.run([sys.executable, "-c", WITH_A_FLAG], check=True)
 
 
@@ -93,10 +93,10 @@ import numpy as np
 import fic_jax.engine.tuning
 import jax
 fic_jax.engine.tuning.TRIED_JAXLIB = ("0.0.",)
-with warnings.catch_warnings(record=True) as told:
+with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
     fic_jax.tune_for_throughput(2)
-assert len(told) == 1 and "was not tried" in str(told[0].message), told
+assert len(caught) == 1 and "was not tried" in str(caught[0].message), caught
 assert "xla_cpu_small_while_loop" not in os.environ.get("XLA_FLAGS", "")
 K0 = np.geomspace(5.0, 500.0, 200).astype(np.float32)
 metrics = fic_jax.sweep(fic_jax.Params(K0=K0), dt=0.01, n_steps=60, backend="xla")
@@ -128,7 +128,7 @@ def test_one_device_equals_two(backend, monkeypatch):
 
 
 def test_sweep_equals_evaluate():
-    """The arranged engine and the plain public function, on regular scenarios, to rounding."""
+    """Two programs of one function round differently; 200 steps leave below 1e-9."""
     batch = random_batch(16)
     swept = sweep(batch, dt=DT, n_steps=200)
     for i in range(16):
@@ -139,8 +139,8 @@ def test_sweep_equals_evaluate():
             )
 
 
-def test_diverged_scenario_is_told_and_leaves_its_neighbours_alone():
-    """A weld so stiff that dt can't resolve it: RK4 blows up and `finite` says so."""
+def test_a_diverged_scenario_is_not_finite_and_does_not_change_its_neighbours():
+    """On a weld too stiff for dt, RK4 is unstable: `finite` is false."""
     batch, model = Params(Kenv=np.array([100.0, 1e9, 500.0])), Model(contact="welded")
     metrics = sweep(batch, model=model, dt=DT, n_steps=200)
     np.testing.assert_array_equal(metrics.finite, [True, False, True])
@@ -160,7 +160,7 @@ def test_diverged_scenario_is_told_and_leaves_its_neighbours_alone():
         ({"period": 0.015}, r"`period` must be a whole multiple of dt = 0.01 s \(nearest: 0.02\)"),
     ],
 )
-def test_sweep_refuses_what_no_scenario_may_have(bad, message):
+def test_wrong_parameters_are_refused(bad, message):
     columns = {name: np.asarray(value, float) for name, value in bad.items()}
     with pytest.raises(ParamsError, match=message):
         sweep(Params(**columns), dt=DT, n_steps=5)
@@ -180,19 +180,19 @@ def test_lanes_agree_with_xla_to_rounding(model):
         for name in METRICS:
             got, expected = getattr(mine, name), getattr(theirs, name)
             assert got.dtype == expected.dtype
-            # one scenario in a hundred stands on a switch to rounding
+            # in about one scenario of a hundred rounding decides on which side of a switch it is
             close = np.isclose(got, expected, rtol=1e-7, atol=1e-9, equal_nan=True)
             assert np.mean(close) > 0.98, name
 
 
-def test_no_torque_at_all_has_a_peak_of_zero_without_sign():
+def test_the_peak_of_no_torque_is_plus_zero():
     nothing = Params(Kenv=np.zeros(3), Denv=0.0, Td=-1.0)
     peak = sweep(nothing, model=Model(contact="welded"), dt=DT, n_steps=20).peak_torque
     assert not peak.any()
     assert not np.signbit(peak).any()
 
 
-def law(model, n_steps=50):
+def compiled_scenario(model, n_steps=50):
     """The live nodes of a scenario after the compiler's passes."""
     one = sweeping.scenario(model, n_steps, False)
     roots = compiled_graph(
@@ -201,18 +201,18 @@ def law(model, n_steps=50):
     return live(roots)
 
 
-def test_the_default_law_jumps_over_its_exponentials():
-    """Branches: for the slopes, for the bend in each of RK4's stages, where the tail begins."""
-    nodes = law(Model())
+def test_the_default_law_computes_exponentials_in_branches_only():
+    """Six branches: slopes, the bend in each of RK4's four stages, the start of the tail."""
+    nodes = compiled_scenario(Model())
     loop = loop_of(nodes)
     branches = {n.of for n in nodes if isinstance(n.of, Branch) and n.of.outer is loop}
     assert len(branches) == 6
     assert not [n for n in nodes if n.op in ("exp", "div") and n.scope is loop]
 
 
-def test_a_located_step_enters_its_second_segment_behind_a_jump():
-    """What follows a switch costs as much as a step: all its stages lie in one branch."""
-    nodes = law(Model(integrator="rk4_events"))
+def test_the_second_segment_of_a_located_step_is_one_branch():
+    """It costs as much as a step: all its stages, over 200 operations, are in one branch."""
+    nodes = compiled_scenario(Model(integrator="rk4_events"))
     loop = loop_of(nodes)
     sizes = {}
     for node in nodes:
@@ -244,7 +244,7 @@ def test_without_the_lane_compiler_xla_runs_and_one_warning_says_so(
     assert "pip install llvmlite" in message
     for metrics in results:
         assert_same(metrics, expected)
-    with pytest.raises(type(error)):  # chosen by name it has to work
+    with pytest.raises(type(error)):  # a backend chosen by name does not fall back
         sweep(batch, backend="lanes", **run)
 
 

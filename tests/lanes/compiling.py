@@ -1,4 +1,4 @@
-"""The steps of the compiler, one by one, for tests."""
+"""The compiler's steps one by one, for tests."""
 
 import jax
 import numpy as np
@@ -46,13 +46,13 @@ def loop_of(nodes):
     return loop
 
 
-def scope_counts(roots, op):
+def scopes_of(roots, op):
     """Scopes of the live nodes with an operation."""
     return [n.scope for n in live(roots) if n.op == op]
 
 
 def assert_same(a, b):
-    """Bit for bit, the sign of zero too, but for the bits of a NaN."""
+    """The same bits, the sign of zero included, except for the bits of a NaN."""
     for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
         assert x.dtype == y.dtype
         np.testing.assert_array_equal(x, y)

@@ -1,4 +1,4 @@
-"""Kernels are compiled anew in each test: what a test changes is in no kernel's key."""
+"""Without the compile cache: a test patches the compiler, and no cache key would show it."""
 
 import jax
 import pytest

@@ -25,7 +25,7 @@ def program(seed):
 
 
 def grow(chance, values, conditions, size, depth):
-    """Add operations on what there is."""
+    """Add `size` random operations on the values and conditions so far."""
 
     def one():
         return chance.choice(values[-8:] if chance.random() < 0.7 else values)
@@ -71,7 +71,7 @@ def rare(chance, values, conditions, one):
 def loop(chance, outer_values, outer_conditions, depth):
     """The results of a loop that carries some values unchanged from iteration to iteration."""
     inits = tuple(chance.choice(outer_values) for _ in range(chance.randint(1, 4)))
-    turns, size, end = chance.randint(1, 5), chance.randint(4, 20), []
+    iterations, size, end = chance.randint(1, 5), chance.randint(4, 20), []
     begin = chance.getstate()
 
     def body(_, carry):
@@ -89,6 +89,6 @@ def loop(chance, outer_values, outer_conditions, depth):
         end[:] = [chance.getstate()]
         return tuple(outs)
 
-    found = list(jax.lax.fori_loop(0, turns, body, inits))
+    results = list(jax.lax.fori_loop(0, iterations, body, inits))
     chance.setstate(end[0])
-    return found
+    return results

@@ -1,4 +1,4 @@
-"""Coherent branches: what a hint moves behind its condition, and that no bit changes."""
+"""Coherent branches: a hint's rare arm moves into a branch, and no bit changes."""
 
 import jax
 import jax.numpy as jnp
@@ -23,14 +23,14 @@ def unbranched(function, monkeypatch, *columns):
 
 def branches(roots):
     """The live branches, and the operations in each."""
-    found = {}
+    operations = {}
     for node in live(roots):
         if isinstance(node.scope, Branch):
-            found.setdefault(node.scope, []).append(node.op)
-    return found
+            operations.setdefault(node.scope, []).append(node.op)
+    return operations
 
 
-def test_the_rare_arm_moves_and_the_other_stays():
+def test_the_rare_arm_moves_into_a_branch_and_the_other_arm_stays():
     (branch,) = branches(
         compiled_graph(lambda x, y: where_rare(x > y, lambda: jnp.exp(x), jnp.exp(y)), 2)
     ).items()
@@ -41,7 +41,7 @@ def test_the_rare_arm_moves_and_the_other_stays():
     assert scope.otherwise[0].scope is None
 
 
-def test_what_others_use_too_stays():
+def test_a_node_that_others_use_too_stays_outside_the_branch():
     def shared(x, y):
         e = jnp.exp(x)
         return where_rare(x > y, lambda: e * y, y), e
@@ -51,11 +51,11 @@ def test_what_others_use_too_stays():
     ]
 
 
-def test_a_plain_where_jumps_over_nothing():
+def test_a_plain_where_makes_no_branch():
     assert not branches(compiled_graph(lambda x, y: jnp.where(x > y, jnp.exp(x), y), 2))
 
 
-def test_a_condition_for_all_lanes_jumps_over_the_selects_alone():
+def test_selects_alone_become_a_branch_only_on_a_uniform_condition():
     def tail(x, y):
         def body(i, s):
             return where_rare(i == 3, lambda: (y, x), s)
@@ -68,7 +68,7 @@ def test_a_condition_for_all_lanes_jumps_over_the_selects_alone():
 
 @pytest.mark.parametrize("taken", [True, False])
 def test_the_select_that_uses_a_hint_narrows_its_condition(taken):
-    """A lane that discards the hint's result does not make the others wait for it."""
+    """The path predicate is both conditions: a lane that discards the result does not need it."""
 
     def narrowed(x, y):
         rare = where_rare(x > 0.0, lambda: jnp.exp(x), y)
@@ -93,7 +93,7 @@ def test_a_hint_inside_a_hint_is_a_branch_inside_a_branch():
 
 
 @pytest.mark.parametrize("transform", [jax.jit, jax.vmap, lambda f: jax.vmap(jax.grad(f))])
-def test_elsewhere_a_hint_is_a_where(transform):
+def test_without_the_lane_compiler_a_hint_is_a_where(transform):
     """Also its gradient, in either arm."""
     x = jnp.linspace(-1.0, 1.0, 7)
     hinted = transform(lambda x: where_rare(x > 0.0, lambda: jnp.exp(x), 2.0 * x))
@@ -103,7 +103,7 @@ def test_elsewhere_a_hint_is_a_where(transform):
 
 @pytest.mark.parametrize("first", range(0, PROGRAMS, 10))
 def test_branches_change_no_bit_of_any_program(first, monkeypatch):
-    """Two lanes to a vector, so that branches are often jumped over."""
+    """With two lanes in a vector, so that a vector often skips a branch."""
     monkeypatch.setattr("fic_jax.lanes.kernel.register_bytes", lambda: 16)
     rng = np.random.default_rng(first)
     columns = rng.normal(scale=2.0, size=(N_COLUMNS, 128))

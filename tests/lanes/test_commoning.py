@@ -1,4 +1,4 @@
-"""Predictive commoning: an iteration reuses what the last one has computed, and nothing else."""
+"""Predictive commoning: an iteration reuses only values that the last iteration has computed."""
 
 import jax
 import jax.numpy as jnp
@@ -7,19 +7,19 @@ import pytest
 
 from fic_jax.lanes.commoning import common
 from fic_jax.lanes.graph import live
-from tests.lanes.compiling import assert_same, computed, graph_of, loop_of, scope_counts
+from tests.lanes.compiling import assert_same, computed, graph_of, loop_of, scopes_of
 
 
 def f(x, k):
     return 1.9 * jnp.exp(-k * x * x)
 
 
-def iterations(start, joined=jnp.maximum, held=jnp.copy):
+def iterations(start, combine=jnp.maximum, carry=jnp.copy):
     """A loop whose iteration begins with f(carried), which the last one carried as its third."""
 
     def body(_, s):
-        x = joined(0.5 * s[0], f(s[0], s[1]))
-        return x, held(s[1]), f(x, s[1])
+        x = combine(0.5 * s[0], f(s[0], s[1]))
+        return x, carry(s[1]), f(x, s[1])
 
     return lambda x, k: jax.lax.fori_loop(0, 4, body, (x, k, start(x, k)))
 
@@ -32,22 +32,22 @@ def with_and_without(function, monkeypatch):
 
 
 # Without the copy JAX takes the constant out of the carried values.
-@pytest.mark.parametrize("held", [jnp.copy, lambda k: k], ids=["carried", "closed over"])
+@pytest.mark.parametrize("carry", [jnp.copy, lambda k: k], ids=["carried", "closed over"])
 @pytest.mark.parametrize(
-    ("joined", "units"),
-    # A product that is carried is rounded. In the only sum that uses it, it would not be: one
-    # rounding less in each of four iterations, each of which at most doubles the error so far.
+    ("combine", "units"),
+    # A carried product is rounded; without the pass, FMA contraction saves this rounding. Four
+    # iterations differ by one rounding each, and each at most doubles the error so far: 2^4 eps.
     [(jnp.maximum, 0), (jnp.add, 16)],
     ids=["bit for bit", "to rounding"],
 )
-def test_an_iteration_reuses_what_the_last_one_computed(joined, units, held, monkeypatch):
-    function = iterations(f, joined, held)
+def test_an_iteration_reuses_a_value_of_the_last_one(combine, units, carry, monkeypatch):
+    function = iterations(f, combine, carry)
     graph, roots = graph_of(function, 2)
     loop = loop_of(live(roots))
     carried = any(phi is out for phi, out in zip(loop.phis, loop.outs, strict=True))
-    assert carried == (held is jnp.copy)
+    assert carried == (carry is jnp.copy)
     common(graph, roots)
-    assert scope_counts(roots, "exp").count(loop) == 1
+    assert scopes_of(roots, "exp").count(loop) == 1
     reused, anew = with_and_without(function, monkeypatch)
     np.testing.assert_allclose(reused, anew, rtol=units * np.finfo(float).eps, atol=0.0)
 
@@ -62,8 +62,8 @@ def test_an_iteration_reuses_what_the_last_one_computed(joined, units, held, mon
     ],
     ids=["another constant", "swapped", "another operand", "no operation"],
 )
-def test_a_loop_that_starts_otherwise_reuses_nothing(start, monkeypatch):
+def test_a_loop_that_starts_with_another_value_reuses_nothing(start, monkeypatch):
     graph, roots = graph_of(iterations(start), 2)
     common(graph, roots)
-    assert scope_counts(roots, "exp").count(loop_of(live(roots))) == 2
+    assert scopes_of(roots, "exp").count(loop_of(live(roots))) == 2
     assert_same(*with_and_without(iterations(start), monkeypatch))

@@ -1,10 +1,10 @@
-"""FMA contraction: one rounding where a product has one user, two elsewhere."""
+"""FMA contraction: a product with one user is not rounded before the sum, any other is."""
 
 import numpy as np
 import pytest
 
 from fic_jax.lanes.objects import fused
-from tests.lanes.compiling import compiled_graph, computed, scope_counts
+from tests.lanes.compiling import compiled_graph, computed, scopes_of
 
 X, Y = np.float32([1.0 + 2.0**-20]), np.float32([1.0 - 2.0**-20])
 EXACT, ROUNDED = -(2.0**-40), 0.0  # of x y - 1
@@ -47,4 +47,4 @@ def test_signs_and_values_of_each_form(function, signs):
 def test_the_product_that_is_computed_last_is_fused():
     (root,) = compiled_graph(lambda x, y, z: x * y + (x + y + z) * z, 3)
     assert root.args[2].op == "mul"
-    assert scope_counts([root], "fma") == [None]
+    assert scopes_of([root], "fma") == [None]

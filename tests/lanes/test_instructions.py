@@ -10,7 +10,7 @@ from tests.lanes.compiling import DTYPES, ODD, computed
 
 
 def pairs(dtype):
-    """Every pair of odd numbers."""
+    """Every pair of special numbers."""
     x, y = np.meshgrid(np.array(ODD, dtype), np.array(ODD, dtype))
     return x.ravel(), y.ravel()
 
@@ -38,7 +38,7 @@ NUMBERS = {
     "where": lambda x, y: jnp.where(x < y, x, y),
     "or zero": lambda x, y: jnp.where(x < y, x, 0.0),
     "zero or": lambda x, y: jnp.where(x < y, 0.0, x),
-    "or minus zero": lambda x, y: 1.0 / jnp.where(x < y, x, -0.0),  # which zero, infinity tells
+    "or minus zero": lambda x, y: 1.0 / jnp.where(x < y, x, -0.0),  # 1/0 shows the sign of zero
     "minus zero or": lambda x, y: 1.0 / jnp.where(x < y, -0.0, x),
     "or none": lambda x, y: jnp.where(x < y, 2 * (x > 0).astype(jnp.int32), 0).astype(x.dtype),
     "or not": lambda x, y: ones(jnp.where(x < y, x > 0, False), x),
@@ -69,7 +69,7 @@ def masks(request, monkeypatch):
 
 
 @pytest.mark.parametrize("dtype", DTYPES, ids=str)
-def test_operations_are_ieee_for_every_pair_of_odd_numbers(dtype):
+def test_operations_are_ieee_for_every_pair_of_special_numbers(dtype):
     x, y = pairs(dtype)
     results = computed(lambda x, y: [f(x, y) for f in NUMBERS.values()], x, y)
     for got, (name, f) in zip(results, NUMBERS.items(), strict=True):
@@ -80,7 +80,7 @@ def test_operations_are_ieee_for_every_pair_of_odd_numbers(dtype):
 
 
 @pytest.mark.parametrize("dtype", DTYPES, ids=str)
-def test_integers_and_bools_come_out_with_their_types(dtype):
+def test_integer_and_bool_results_have_their_types(dtype):
     x = np.array([-2.5, -1.0, 0.0, 1.0, 2.5, 7.0], dtype)
     whole, above = computed(lambda x: (x.astype(jnp.int32), x > 1.0), x)
     assert (whole.dtype, above.dtype) == (np.int32, bool)
@@ -91,7 +91,7 @@ def test_integers_and_bools_come_out_with_their_types(dtype):
 
 
 @pytest.mark.parametrize("dtype", DTYPES, ids=str)
-def test_integers_and_bools_go_in(dtype):
+def test_integer_and_bool_arguments(dtype):
     x, n, yes = (
         np.array([0.5, 1.5, 2.5], dtype),
         np.int32([3, -4, 5]),
@@ -119,7 +119,7 @@ def test_exp_is_right_to_two_units_in_the_last_place(dtype, least, most):
     np.testing.assert_array_equal(got, [1.0, 1.0, 0.0, np.inf, 0.0, np.inf, np.nan, np.nan])
 
 
-def test_the_processor_names_its_masks_and_registers(monkeypatch):
+def test_registers_masks_and_fma_follow_from_the_processors_features(monkeypatch):
     for features, width, masks, fused in [
         ("+avx512f,+avx,+fma,", 64, True, True),
         ("-avx512f,+avx,+avx2,+fma,", 32, False, True),

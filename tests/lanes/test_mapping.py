@@ -1,4 +1,4 @@
-"""The public function: what `jit(vmap(function))` computes, whatever the threads and the parts."""
+"""`lane_map` computes what `jit(vmap(function))` computes, for any number of threads and parts."""
 
 import subprocess
 import sys
@@ -25,7 +25,7 @@ def oscillator(k, c):
 K = np.linspace(1.0, 9.0, 1003)
 
 
-def test_it_computes_what_vmap_computes():
+def test_lane_map_equals_vmap():
     got = lane_map(oscillator)(K, 0.1)
     expected = jax.jit(jax.vmap(oscillator, in_axes=(0, None)))(K, 0.1)
     for mine, theirs in zip(got, expected, strict=True):
@@ -33,7 +33,7 @@ def test_it_computes_what_vmap_computes():
         np.testing.assert_allclose(mine, theirs, rtol=1e-11, atol=1e-12)
 
 
-def test_pytrees_go_in_and_come_out():
+def test_pytrees_of_arguments_and_results():
     got = lane_map(lambda p, s: {"sum": p["a"] + s, "both": (p["b"], p["a"] > 1)})(
         {"a": np.float32([1, 2]), "b": jnp.float32([3, 4])}, np.float32(0.5)
     )
@@ -51,7 +51,7 @@ def test_scalars_alone_give_scalars():
     assert lane_map(lambda x, y: x + y)(1.0, 2.0) == 3.0
 
 
-def test_a_scalar_is_the_same_for_all_bit_for_bit():
+def test_a_scalar_argument_gives_the_bits_of_a_constant_column():
     mapped = lane_map(oscillator)
     assert_same(mapped(K, 0.1), mapped(K, np.full_like(K, 0.1)))
 
@@ -66,7 +66,7 @@ def test_threads_parts_and_registers_change_no_bit(threads, part, registers, mon
     assert_same(lane_map(oscillator, threads=threads)(K, 0.1), expected)
 
 
-def test_a_lane_alone_is_the_lane_among_others():
+def test_a_lane_alone_has_the_bits_of_the_lane_among_others():
     mapped = lane_map(oscillator)
     whole = mapped(K, 0.1)
     for i in (0, 1, 500, 1002):
@@ -88,7 +88,7 @@ def test_a_signature_is_compiled_once():
 
 
 @pytest.mark.parametrize("shapes", [[(2,), (3,)], [(2, 2)]])
-def test_other_shapes_are_refused(shapes):
+def test_arrays_of_other_shapes_are_refused(shapes):
     with pytest.raises(ValueError, match=r"scalars and \[N\] arrays of one length"):
         lane_map(lambda *x: x[0])(*map(np.ones, shapes))
 

@@ -37,7 +37,7 @@ def decaying(x, y):
         ("arm64-apple-macosx", "apple-m1", 4, 32),
     ],
 )
-def test_other_processors_have_instructions_for_it(triple, cpu, lanes, mask_bits):
+def test_other_processors_need_no_library_calls(triple, cpu, lanes, mask_bits):
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()
     machine = llvm.Target.from_triple(triple).create_target_machine(cpu=cpu, opt=3)
@@ -51,28 +51,28 @@ def test_other_processors_have_instructions_for_it(triple, cpu, lanes, mask_bits
 PROCESSORS = ["host", "no AVX-512", "no FMA", "SSE2"]
 
 
-def masked(processor, monkeypatch):
-    """Take instruction sets away from this processor, as far as LLVM knows."""
+def without_instructions(processor, monkeypatch):
+    """Hide instruction sets of this processor from LLVM."""
     if not llvm.get_process_triple().startswith("x86_64"):
-        pytest.skip("names of x86")
-    gone = {
+        pytest.skip("the instruction sets named here are those of x86")
+    hidden = {
         "no AVX-512": ("avx512", "avx10"),
         "no FMA": ("avx512", "avx10", "fma"),
         "SSE2": ("avx", "fma", "f16c", "xop", "vaes", "vpclmul", "sse3", "ssse", "sse4"),
     }.get(processor, ())
     features = [
-        f"-{name[1:]}" if name[1:].startswith(gone) and gone else name
+        f"-{name[1:]}" if name[1:].startswith(hidden) and hidden else name
         for name in llvm.get_host_cpu_features().flatten().split(",")
     ]
     monkeypatch.setattr("fic_jax.lanes.objects.features", lambda: ",".join(features))
 
 
 @pytest.mark.parametrize("processor", PROCESSORS)
-def test_processors_with_fewer_instructions_compute_the_same(processor, monkeypatch):
-    """Bit for bit while they fuse multiply-adds; without, each sum is rounded once more."""
+def test_fewer_instruction_sets_give_the_same_results(processor, monkeypatch):
+    """The same bits with fused multiply-adds; without, one rounding more a sum, 30 iterations."""
     x, y = np.linspace(-2.0, 2.0, 100), np.linspace(0.3, 1.0, 100)
     expected = lane_map(decaying)(x, y)
-    masked(processor, monkeypatch)
+    without_instructions(processor, monkeypatch)
     got = lane_map(decaying)(x, y)
     if processor in ("host", "no AVX-512"):
         assert_same(got, expected)

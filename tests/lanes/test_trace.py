@@ -1,4 +1,4 @@
-"""Tracing: loops, uniform values, and what the compiler has no translation for."""
+"""Tracing: loops, uniform values, and functions that cannot be translated."""
 
 import jax
 import jax.numpy as jnp
@@ -77,7 +77,7 @@ def test_a_scan_without_arrays_is_a_loop():
         (lambda x: x.astype(jnp.float64), "float64 among float32"),
     ],
 )
-def test_an_untranslatable_function_names_what_it_uses(function, named):
+def test_the_error_names_the_untranslatable_operation(function, named):
     with pytest.raises(Untranslatable, match=named):
         computed(function, np.ones(8, np.float32))
 
