@@ -50,15 +50,15 @@ CONTACTS = ("hard_stop", "welded")
 
 @dataclass(frozen=True)
 class Measured:
-    """What plant steps of 10 ms give, and what is right."""
+    """nmse with plant steps of 10 ms, and converged."""
 
-    exact: np.ndarray  # nmse with 32 steps per sample
+    exact: np.ndarray  # nmse with 32 plant steps a sample
     nearly: np.ndarray  # with 16
     runs: dict[str, tuple[Metrics, Metrics]]  # by integrator: metrics and their estimated errors
 
     @property
     def regular(self):
-        """The criterion that sets limit cycles apart: their nmse never stops changing."""
+        """Not a limit cycle: the nmse of a limit cycle does not converge."""
         return np.abs(self.nearly / self.exact - 1.0) < 1e-5
 
 
@@ -81,10 +81,10 @@ def measured(contact):
 
 
 @pytest.mark.parametrize("contact", CONTACTS)
-def test_ten_milliseconds_against_the_converged_value(contact):
-    """nmse of regular scenarios: its error, the estimate of that, and what is trusted.
+def test_nmse_its_error_and_trust_with_steps_of_ten_milliseconds(contact):
+    """nmse of regular scenarios: its error, the estimate of the error, and trust.
 
-    All in one test, as seven programs are compiled for it.
+    One test, so that its seven programs are compiled once.
     """
     m = measured(contact)
     assert m.regular.mean() > 0.9
@@ -100,8 +100,8 @@ def test_ten_milliseconds_against_the_converged_value(contact):
 def nmse_is_the_converged_one(m):
     """Median 5e-5, 90th percentile 2e-3, in parts of the converged value.
 
-    That is what `rk4_events` is to reach. The worst tenth has a second switch in some step, which
-    is met late. rk4's error is of first order in every switch: a hundred times the median.
+    These are the bounds for `rk4_events`. The worst tenth has a second switch in some step, which
+    acts late. rk4 has a first-order error at every switch: a hundred times the median.
     """
     error = {name: np.abs(r[0].nmse / m.exact - 1.0)[m.regular] for name, r in m.runs.items()}
     half, most = np.percentile(error["rk4_events"], [50, 90])
@@ -133,7 +133,7 @@ def trust_means_what_it_says(m, metrics, errors):
 def no_limit_cycle_is_trusted(m, metrics, errors):
     """One for certain: halving the step from 10/16 to 10/32 ms still changes nmse beyond TRUST.
 
-    By how much is chance: it hangs on the last bits. By more than is trusted is enough.
+    The last bits decide by how much; the test asks for any change above TRUST.
     """
     cycles = np.abs(m.nearly / m.exact - 1.0) > TRUST
     assert cycles.any()
@@ -161,8 +161,8 @@ PER_VARIANT = 8
 def test_follows_scipy_with_events_in_all_variants(third):
     """x(t) at every 10 ms, in parts of its range: median 1e-4, 90th percentile 5e-3.
 
-    Measured 4e-6 to 3e-5 and 1e-3 to 2e-3; rk4 has 4e-3 and 5e-2. As in test_reference, what
-    makes more than tenfold of a change, or has no limit, is set apart: a third at most.
+    Measured 4e-6 to 3e-5 and 1e-3 to 2e-3; rk4 has 4e-3 and 5e-2. As in test_reference, scenarios
+    with a sensitivity above 10 or without a limit are excluded: a third at most.
     """
     rng = np.random.default_rng(third)
     n_steps, errors, apart = round(T_END / DT), [], 0
@@ -191,8 +191,8 @@ def test_follows_scipy_with_events_in_all_variants(third):
 # Exact crossing times ----------------------------------------------------------------------------
 
 # Motions so slow that RK4 itself errs by less than 1e-10: (w dt)^4 = 6e-10, some hundredth of it
-# in a period. What is left is the crossing's: 1e-10 s, times speeds below 1 rad/s. Sixteen
-# scenarios cross at as many phases of the step.
+# in a period. The rest is the error of the crossing time: 1e-10 s, times speeds below 1 rad/s.
+# Sixteen scenarios cross at sixteen phases of the step.
 PHASES = 16
 SLOW = 0.5  # rad/s
 EXACT = 1e-10  # rad
@@ -357,7 +357,7 @@ def forward(p, along):
 
 
 def test_gradients():
-    """Both in one test, for the time it takes to compile a gradient."""
+    """Both in one test: a gradient takes long to compile."""
     gradients_through_a_located_contact_are_right()
     gradients_are_finite_where_switches_meet_or_nothing_happens()
 
@@ -400,15 +400,15 @@ def gradients_are_finite_where_switches_meet_or_nothing_happens():
         assert jnp.isfinite(slope).all(), name
 
 
-# Rough going -------------------------------------------------------------------------------------
+# Several switches in a step -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("contact", ["hard_stop", "damped_rebound"])
 def test_several_crossings_in_a_step_err_by_a_step_at_most(contact):
-    """dt = 50 ms on walls RK4 just resolves: touch, turn and e = 0 in one step, for 1 s.
+    """dt = 50 ms on walls that RK4 just resolves: contact, v = 0 and e = 0 in one step, for 1 s.
 
-    A switch met a step late is off by the way of a step; the median error is less (measured 0.3
-    ways), and bounces later the worst is 5.
+    A switch that acts one step late errs by the way of one step. The median error is less (measured
+    0.3 ways); the largest, after several bounces, is 5 ways.
     """
     n, dt, refined = 32, 0.05, 32
     rng = np.random.default_rng(3)
@@ -435,7 +435,7 @@ def test_several_crossings_in_a_step_err_by_a_step_at_most(contact):
     assert np.max(error / way) < 10.0
 
 
-def test_sliding_stays_finite_and_bounded():
+def test_a_sliding_motion_stays_finite_and_bounded():
     """`energy` with K0 x0 > Fmax: both sides of v = 0 lead back to it, and no limit exists."""
     n = 32
     rng = np.random.default_rng(1)

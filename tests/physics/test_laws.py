@@ -78,7 +78,7 @@ def test_torque_never_exceeds_the_saturation(name, p, e, e_M, v):
 @given(p=scenarios())
 def test_rollouts_stay_within_the_saturation_and_are_finite(model, p):
     s = roll(p, model=model)
-    assert not np.any(np.abs(s.torque) > p.Fmax)  # a diverged run ends in NaN, never beyond
+    assert not np.any(np.abs(s.torque) > p.Fmax)  # an unstable run ends in NaN
     if np.sqrt(p.Kenv / p.I) * DT < 1.0 and p.Denv / p.I * DT < 1.0:  # dt resolves the plant
         assert np.isfinite(s.x).all()
 
@@ -96,7 +96,7 @@ def test_hard_stop_never_pulls(p):
 @law
 @given(p=scenarios())
 def test_mirrored_scenario_gives_mirrored_motion(divergence, peak, p):
-    """Welded: every signed quantity turned round turns the motion round, bit for bit."""
+    """Welded: with all signed quantities negated, the signals are negated, bit for bit."""
     model = Model(contact="welded", divergence=divergence, peak=peak)
     signed = ("Td", "xd", "gap", "x_init", "v_init")
     mirrored = Params(**{k: -v if k in signed else v for k, v in vars(p).items()})
@@ -110,11 +110,11 @@ def test_mirrored_scenario_gives_mirrored_motion(divergence, peak, p):
 @models
 @law
 @given(p=scenarios())
-def test_metrics_are_those_of_the_samples(model, p):
+def test_metrics_agree_with_numpy_on_the_same_samples(model, p):
     """nmse >= 0, the tail is part of the whole, times lie on the grid, counts agree.
 
-    Of the same samples: another program rounds otherwise, and where RK4 is unstable or the motion
-    a limit cycle that soon shows.
+    On the same samples: another program rounds differently, and an unstable RK4 or a limit cycle
+    makes that large.
     """
     s = roll(p, model=model)
     m = streamed(canonical(p), s, jnp.float64(DT), model)
@@ -139,11 +139,11 @@ def test_metrics_are_those_of_the_samples(model, p):
 
 @law
 @given(p=scenarios())
-def test_the_controller_gives_no_more_energy_than_its_spring_holds(p):
-    """Bare attractor with a fixed reference: kinetic energy never exceeds what was there.
+def test_the_law_energy_releases_no_more_than_its_spring_has_stored(p):
+    """Attractor alone, fixed reference: the kinetic energy stays below the initial total energy.
 
-    `energy` (the older law) is the passive one: it releases what divergence stored, E_K(e_M)
-    (eq. 2). The mode is decided once a step, which adds what the torque can do in one step.
+    `energy` (the older law) is passive: it releases the energy that divergence stored, E_K(e_M)
+    (eq. 2). The branch is decided once a step, which adds the torque's work in one step.
     """
     free = Params(**{**vars(p), "sigma": 0.0, "gap": 100.0, "Kenv": 0.0, "Denv": 0.0, "xd": 0.0})
     s = roll(free, model=Model(law="energy"))

@@ -1,4 +1,4 @@
-"""The Lyapunov function: a potential of the very torque, continuous where the branches meet."""
+"""The Lyapunov function: its potential is that of the torque; V is continuous at the peak."""
 
 from functools import partial
 
@@ -39,8 +39,8 @@ along = of_branch(jax.vmap(torque, in_axes=(0, None, None)))
 @laws
 @law
 @given(p=scenarios(), e=numbers(-1.0, 1.0), e_M=numbers(-1.0, 1.0), diverging=st.booleans())
-def test_the_potential_is_that_of_the_torque(model, p, e, e_M, diverging):
-    """dU/de = torque, but where a step of 1e-7 rad meets a jump of the torque."""
+def test_the_slope_of_the_potential_is_the_torque(model, p, e, e_M, diverging):
+    """dU/de = torque, except within 1e-7 rad of a jump of the torque (1e-3 Fmax or more)."""
     beside = [float(torque_at(e + s, diverging, e_M, p, model)) for s in (-1e-7, 1e-7)]
     if np.isclose(*beside, rtol=0.0, atol=1e-3 * p.Fmax):
         slope = float(slope_at(e, diverging, e_M, p, model))
@@ -50,10 +50,10 @@ def test_the_potential_is_that_of_the_torque(model, p, e, e_M, diverging):
 @laws
 @law
 @given(p=scenarios(), e=numbers(-1.0, 1.0), e_M=numbers(-1.0, 1.0))
-def test_the_potential_differs_by_the_work_of_the_torque(model, p, e, e_M):
-    """U(e) is the integral of the converging torque from 0: nothing is lost at its jumps.
+def test_the_potential_is_the_work_of_the_torque(model, p, e, e_M):
+    """U(e) is the integral of the converging torque from 0, across its jumps too.
 
-    One cell of the trapezium rule holds each jump, of 2 Fmax at most.
+    Each jump, at most 2 Fmax, is in one interval of the trapezium rule: two intervals' error.
     """
     nodes = np.linspace(0.0, e, 4001)
     work = np.trapezoid(along(nodes, False, e_M, p, model), nodes)
@@ -65,7 +65,7 @@ def test_the_potential_differs_by_the_work_of_the_torque(model, p, e, e_M):
 @law
 @given(p=scenarios(), e_M=numbers(-1.0, 1.0))
 def test_v_is_continuous_at_the_peak(model, p, e_M):
-    """E_C makes it so, to rounding; where eq. 1 is not cut off, V is E_K(e_M) there."""
+    """By the choice of E_C, to rounding. If K0 x0 <= Fmax, V is E_K(e_M) at the peak."""
     out, back = (float(stored_at(e_M, side, e_M, p, model)) for side in (True, False))
     assert out == pytest.approx(back, rel=1e-12, abs=1e-15)
     if p.K0 * p.x0 <= p.Fmax:
@@ -74,7 +74,7 @@ def test_v_is_continuous_at_the_peak(model, p, e_M):
 
 @law
 @given(p=scenarios(), share=numbers(0.01, 1.0))
-def test_a_convergence_of_the_linear_zone_ends_with_all_that_was_stored(p, share):
+def test_v_at_the_end_of_a_convergence_in_the_linear_zone_is_the_stored_energy(p, share):
     """V_AA(0) = E_K(e_M), not 0 as the appendix has it: F_AA is odd about e_M/2."""
     e_M = share * min(p.x0, p.Fmax / p.K0)
     left = float(stored_at(0.0, False, e_M, p, Model()))
@@ -88,7 +88,7 @@ def test_v_adds_the_kinetic_energy():
     assert total == pytest.approx(0.5 * p.I * 2.0**2 + 0.5 * p.K0 * 0.05**2, rel=1e-12)
 
 
-def test_gradients_are_finite_everywhere():
+def test_gradients_of_the_potential_are_finite_at_its_edges():
     slope = of_branch(jax.vmap(jax.grad(stored), in_axes=(0, None, None)))
     p = Params()
     for e_M in (0.0, p.x0, p.xb, 0.3):

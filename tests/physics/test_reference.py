@@ -59,12 +59,12 @@ def simulated(group):
 
 
 @in_groups
-def test_every_step_agrees_with_plain_python(group):
+def test_every_step_and_metric_equals_plain_python(group):
     """1e-9 of each channel's range at every step, and the metrics made of them.
 
-    Both compute in float64 and differ by rounding, some 1e-15 a step. A scenario amplifies that
-    where a mode is decided at v = 0 within rounding; such a one is compared up to that step and
-    may not be more than 2 % of all.
+    Both compute in float64 and differ by rounding, some 1e-15 a step. Where v = 0 within rounding,
+    rounding decides the branch: such a scenario is compared up to that step, and at most one of
+    a group's 54 (2 %) may be such.
     """
     irregular = 0
     for p, choices, samples, metrics in simulated(group):
@@ -86,16 +86,15 @@ def test_every_step_agrees_with_plain_python(group):
 
 
 @in_groups
-def test_agrees_with_located_events(group):
+def test_rk4_follows_scipy_with_events(group):
     """The motion x(t) against scipy with switches and contacts located, in parts of its range.
 
     RK4 with the mode held in a step errs to first order at each switch: by about the way of one
-    step, 1e-3 s * 1 rad/s on motions of 0.1 rad, that is 1 %, times what the motion makes of a
-    small change. Scenarios that are off by more than 1e-3 are set apart where they make more than
-    tenfold of a change, slide along a switch, or hang on a single jump of x_h (`sensitivity`);
-    they may not be more than a third. Among the
-    rest a motion may graze v = 0 within the error of a step, and then latches e_M anew or not:
-    one in 25 may be off for that reason.
+    step, 1e-3 s * 1 rad/s on motions of 0.1 rad, that is 1 %, times the motion's sensitivity.
+    Scenarios with an error above 1e-3 are excluded if their sensitivity exceeds 10, if they slide
+    along a switch, or if one jump of x_h decides their branch; at most a third may be. A motion
+    that grazes v = 0 within the error of a step starts a new e_M or does not: one in 25 of the
+    others may differ for that reason.
     """
     errors, apart = [], 0
     seen = slice(19, None, 20)  # every 20 ms, the common grid of all periods
@@ -126,8 +125,8 @@ def test_agrees_with_located_events(group):
         {"law": "energy", "divergence": "velocity_band", "feedback": "motor"},
     ],
 )
-def test_converges_to_located_events_at_first_order(choices):
-    """The median error falls with the step, 8-fold within a factor of two from 4 ms to 0.5 ms."""
+def test_rk4_converges_to_scipy_with_events_at_first_order(choices):
+    """A step 8 times shorter, 4 to 0.5 ms, has 1/8 of the median error, within a factor of two."""
     model = Model(**choices)
     chosen = {name: getattr(model, name) for name in ("law", "divergence", "peak", "feedback")}
     chosen["contact"] = model.contact

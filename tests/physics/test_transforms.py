@@ -1,4 +1,4 @@
-"""What JAX does to the functions: compile, batch, differentiate, chunk, without changing them."""
+"""JAX's transforms change no result: jit, vmap, scan, grad; types, compilations, checks."""
 
 from dataclasses import replace
 
@@ -21,14 +21,14 @@ TRACED = []  # names of the functions that JAX has traced since this module was 
 COMPILED = []
 
 
-def note(event, seconds, fun_name="", **details):
+def record(event, seconds, fun_name="", **details):
     if event == "/jax/core/compile/jaxpr_trace_duration":
         TRACED.append(fun_name)
     if event == "/jax/core/compile/backend_compile_duration":
         COMPILED.append("rollout" if "rollout" in fun_name else fun_name)
 
 
-jax.monitoring.register_event_duration_secs_listener(note)
+jax.monitoring.register_event_duration_secs_listener(record)
 APPROACH = Params(K0=100.0, Kenv=500.0, Td=5.0, gap=0.5, xd=0.5)
 
 
@@ -46,26 +46,26 @@ def test_jit_equals_eager(law):
 
 
 @pytest.mark.parametrize("wrong", [0, -1, 1.5])
-def test_substeps_are_counted(wrong):
+def test_a_wrong_number_of_substeps_is_refused(wrong):
     with pytest.raises(ParamsError, match="`substeps` must be a whole number, at least 1"):
         evaluate(APPROACH, dt=DT, n_steps=10, substeps=wrong)
 
 
 def test_evaluate_equals_the_metrics_of_a_rollout():
-    """Two programs, on regular scenarios, to rounding."""
+    """Two programs of the same arithmetic round differently: 200 steps leave below 1e-9."""
     batch = random_batch(16)
     for i in range(16):
         p = canonical(pick(batch, i))
         samples = rollout(p, dt=DT, n_steps=200)
         expected = streamed(p, samples, jnp.float64(DT), Model())
-        got = evaluate(p, dt=DT, n_steps=200)
+        metrics = evaluate(p, dt=DT, n_steps=200)
         for name in METRICS:
             np.testing.assert_allclose(
-                getattr(got, name), getattr(expected, name), rtol=1e-9, atol=1e-12, err_msg=name
+                getattr(metrics, name), getattr(expected, name), rtol=1e-9, atol=1e-12, err_msg=name
             )
 
 
-def test_values_never_recompile():
+def test_other_values_trace_nothing():
     """A second call with other values, types of number, N or dt traces nothing."""
     model = Model(law="effort")
     fic_jax.sweep(random_batch(10), model=model, dt=DT, n_steps=50)
@@ -92,8 +92,8 @@ def test_a_changed_model_or_step_count_compiles_once():
     assert counts == [1, 1, 0, 0]
 
 
-def test_float32_sums_hold_over_long_runs():
-    """100,000 samples: plain float32 additions were off by 1e-3, compensated ones are rounded."""
+def test_float32_sums_are_accurate_over_long_runs():
+    """Over 100,000 samples plain float32 sums err by 1e-3; compensated sums by rounding, 1e-7."""
     p, run = Params(Td=20.0), {"model": Model(contact="welded"), "dt": DT, "n_steps": 100_000}
     single = evaluate(jax.tree.map(np.float32, p), **run)
     double = evaluate(p, **run)
@@ -155,7 +155,7 @@ def test_profile_gradients_are_finite_at_the_edges():
 
 
 @pytest.mark.parametrize("name", ["K0", "I", "Kenv", "Denv", "Fmax", "sigma", "Td"])
-def test_derivative_forward_reverse_and_central_difference_agree(name):
+def test_forward_and_reverse_derivatives_equal_central_differences(name):
     """Away from switches: welded, from rest, before the first v = 0."""
 
     def loss(value):
@@ -167,7 +167,7 @@ def test_derivative_forward_reverse_and_central_difference_agree(name):
     h = 1e-6 * max(value, 1e-2)
     central = (loss(value + h) - loss(value - h)) / (2 * h)
     # central differences of a smooth float64 function are good to about (1e-16/h)^(2/3)
-    # below 1e-14 stands a zero: in the linear zone nmse does not depend on Td
+    # atol for a derivative of zero: in the linear zone nmse does not depend on Td
     np.testing.assert_allclose(forward, reverse, rtol=1e-10, atol=1e-14)
     np.testing.assert_allclose(forward, central, rtol=1e-5, atol=1e-9)
 
@@ -180,8 +180,8 @@ def test_dtype_follows_the_parameters():
     assert fic_jax.sweep(Params(K0=[100, 200]), dt=DT, n_steps=5).nmse.shape == (2,)
 
 
-def test_control_is_the_controller_of_step():
-    """On the same plant `control` gives what `step` does: decisions bit for bit."""
+def test_control_decides_as_step_does():
+    """On the same plant, `control` and `step` have the same x_h and e_M, bit for bit."""
     p, model = APPROACH, Model()
     state = init(p, model)
     memory, states = state.memory, []
@@ -195,8 +195,8 @@ def test_control_is_the_controller_of_step():
 
 
 @pytest.mark.parametrize("integrator", CHOICES["integrator"])
-def test_a_parameter_that_changes_acts_at_once(integrator):
-    """Also in the slopes of a branch that has begun: gains may be scheduled (claim C15)."""
+def test_a_changed_gain_acts_in_the_same_step(integrator):
+    """Also in the slopes of the current branch: gains may be scheduled (claim C15)."""
     model = Model(contact="welded", integrator=integrator)
     p = Params(K0=100.0, Td=20.0, Fmax=60.0, xb=0.3, S=2.0)
     changed = replace(p, K0=60.0)
@@ -215,7 +215,7 @@ def test_a_parameter_that_changes_acts_at_once(integrator):
     assert abs(expected) < p.Fmax
 
 
-def test_time_is_a_multiple_not_a_sum():
+def test_time_is_a_multiple_of_dt_and_not_a_sum():
     t = np.asarray(rollout(jax.tree.map(np.float32, APPROACH), dt=DT, n_steps=1000).t)
     np.testing.assert_array_equal(t, np.arange(1, 1001, dtype=np.float32) * np.float32(DT))
 

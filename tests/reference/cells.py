@@ -17,7 +17,7 @@ from .laws import STILL, Choices, Params, force, in_contact, slope
 
 @dataclass
 class State:
-    """What the closed loop remembers: plant, reference and attractor. Units rad, rad/s, s."""
+    """The state of the closed loop: plant, reference and attractor. Units rad, rad/s, s."""
 
     t: float
     x: float

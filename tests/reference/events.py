@@ -99,7 +99,7 @@ def simulate(
 def tick(
     s: State, before: Cell | None, F: float, p: Params, choices: Choices
 ) -> tuple[State, Cell]:
-    """Algorithm 2, and what the jump of x_h does to mode and e_M (see the top of this file)."""
+    """Algorithm 2; the jump of x_h may change mode and e_M (see the top of this file)."""
     e_before = s.e if before is not None else 0.0
     e_M = e_before if before is not None and before.diverging else s.e_M
     s = State(s.t, s.x, s.v, explore(s.x, s.x_h, F, p), e_M)
@@ -118,7 +118,7 @@ def tick(
 def settle(s: State, p: Params, choices: Choices) -> tuple[State, Cell]:
     """Leave a line v = const on the side to which the motion goes, with e_M <- e.
 
-    The diverging side is asked first, as the discretisation starts there. At v = 0 with nothing
+    The diverging side comes first, as the discretisation starts there. At v = 0 with nothing
     pushing, the motion rests (zero acceleration) until the next tick. At the band's edge with
     nothing pushing it enters the band, since all springs then slow it: so ends a swing that was
     latched at the edge (back at e = 0 with the speed it left with) and a series of ever shorter

@@ -1,4 +1,4 @@
-"""What the event-driven simulator writes down while it runs."""
+"""The record of an event-driven run: samples and event times."""
 
 from collections.abc import Sequence
 
@@ -36,7 +36,7 @@ class Record:
         self.done += 1
 
     def enter(self, t: float, cell: Cell) -> None:
-        """Note what changes, at time t, from the last cell to this one."""
+        """Record contact and mode changes from the last cell to this one, at time t."""
         if cell.contact and (self.last is None or not self.last.contact):
             self.made.append(t)
         if self.last is not None and self.last.contact and not cell.contact:
@@ -46,7 +46,7 @@ class Record:
         self.last = cell
 
     def jump(self, e_before: float, before: Cell, s: State) -> None:
-        """Note by how much a jump of |e| at a tick outweighs the motion, as a time in s.
+        """Record by how much a jump of |e| at a tick outweighs the motion, as a time in s.
 
         `error_rate` latches a converging motion anew if |e| grew since the last step, that is if
         the jump exceeds |v| dt. With dt above this margin the discretisation misses the latch.

@@ -1,4 +1,4 @@
-"""Which random scenarios a discretisation can be asked to follow."""
+"""The sensitivity of a scenario: only where it is small does a discretisation follow events."""
 
 from math import inf
 
@@ -9,7 +9,7 @@ from .laws import Choices, Params
 from .scenarios import random_scenarios
 
 CHANGE = 3e-3
-"""Relative change of I, Kenv and Td that stands for what a plant step of some ms moves."""
+"""Relative change of I, Kenv and Td that stands for the error of a plant step of some ms."""
 LEAST_SCALE = 0.01
 """Motions smaller than this (rad) are compared against it instead of their own range."""
 
@@ -46,10 +46,10 @@ def regular_scenarios(
     Left out: `Irregular` ones, sensitivity above `most`, and `error_rate` where some jump of x_h
     does not clearly outweigh the motion of one step (margin below 4 dt).
     """
-    kept = []
+    regular = []
     for p, choices in random_scenarios(n, seed):
         if sensitivity(p, choices, t_end) > most:
             continue
         if simulate(p, choices, t_end)["margins"].min(initial=inf) > 4.0 * dt:
-            kept.append((p, choices))
-    return kept
+            regular.append((p, choices))
+    return regular
