@@ -8,10 +8,10 @@ import json
 import os
 
 import pytest
-from tests.store.faults import TORTURE
 
 from fic_jax.engine import arithmetic
 from tests.engine import bits
+from tests.store.faults import TORTURE
 
 CASES = list(bits.cases())
 # in `make test`: every option, both precisions, error estimates
