@@ -7,6 +7,7 @@
 5. `mistakes` writes one line for each mistake; `reading` raises them together as a SweepError.
 6. Otherwise the caller gets the Sweep: frozen, equal to any other Sweep of the same record.
 
-A store keeps the record as JSON; `reading.validate` turns it into a Sweep by steps 3 to 6.
+A store keeps the record as JSON, and its hash. Opening a store checks the hash and repeats step 3
+alone.
 `warnings` has a line for what is allowed but may surprise.
 """

@@ -5,22 +5,19 @@ of the registers. `make torture` compares every reading of the model.
 """
 
 import json
-import os
 
 import pytest
 
 from fic_jax.engine import arithmetic
 from tests.engine import bits
-from tests.store.faults import TORTURE
+from tests.torture import many
 
 CASES = list(bits.cases())
 # in `make test`: every option, both precisions, error estimates
 CHOSEN = [case for i, case in enumerate(CASES) if i % 31 == 0 or "estimate" in case[0]]
 
 
-@pytest.mark.parametrize(
-    "case", CASES if os.environ.get(TORTURE) else CHOSEN, ids=lambda case: case[0]
-)
+@pytest.mark.parametrize("case", many(CHOSEN, CASES), ids=lambda case: case[0])
 def test_the_bits_are_those_recorded(case):
     recorded = json.loads(bits.GOLDEN.read_text()).get(arithmetic())
     if recorded is None:

@@ -1,7 +1,5 @@
 """Coherent branches: what a hint moves behind its condition, and that no bit changes."""
 
-import os
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,9 +9,9 @@ from fic_jax.lanes import lane_map, where_rare
 from fic_jax.lanes.graph import Branch, live
 from tests.lanes.compiling import ODD, assert_same, compiled_graph
 from tests.lanes.programs import N_COLUMNS, program
-from tests.store.faults import TORTURE
+from tests.torture import many
 
-PROGRAMS = 1000 if os.environ.get(TORTURE) else 40
+PROGRAMS = many(40, 1000)
 
 
 def unbranched(function, monkeypatch, *columns):

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -97,7 +96,7 @@ def test_other_shapes_are_refused(shapes):
 def test_an_error_in_a_part_reaches_the_caller(monkeypatch):
     mapped = lane_map(jnp.exp, threads=2)
     mapped.prepare(np.ones(2))
-    monkeypatch.setattr("fic_jax.lanes.kernel.Kernel.__call__", partial(_fail))
+    monkeypatch.setattr("fic_jax.lanes.kernel.Kernel.__call__", _fail)
     with pytest.raises(MemoryError):
         mapped(np.ones(100))
 

@@ -24,11 +24,9 @@ from sweeps.spec.types import COUPLED, MAX_CELLS
 from sweeps.spec.warnings import warnings_of
 from sweeps.store.format import size
 from tests.effort import lines_executed
-from tests.store import faults
+from tests.torture import TORTURE, many
 
-TORTURE = bool(os.environ.get(faults.TORTURE))
-FILES = 12_000 if TORTURE else 400
-RECORDS = 5_000 if TORTURE else 300
+FILES, RECORDS = many(400, 12_000), many(300, 5_000)
 # Python lines that a file may cost: the TOML reader executes up to 23 for each letter, and the
 # 1,000 keys that a file may have cost up to 1,000 each to explain.
 LINES_PER_LETTER, LINES_FOR_KEYS = 30, 1_000_000

@@ -11,14 +11,6 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-TORTURE = "FIC_SWEEP_TORTURE"  # set by `make torture`: every case instead of some
-
-
-def many(some, every):
-    """How many cases to try."""
-    return every if os.environ.get(TORTURE) else some
-
-
 ON_PATHS = ("open", "replace", "rename", "mkdir", "unlink", "rmdir")
 ON_DESCRIPTORS = ("close", "write", "pwrite", "fsync", "ftruncate")
 

@@ -9,7 +9,6 @@ import os
 import random
 import re
 import sys
-import time
 from collections import Counter
 from pathlib import Path
 
@@ -24,8 +23,9 @@ from sweeps.store.lock import LOCK
 from sweeps.store.opening import open_store
 from tests.command import typed
 from tests.store import victim
-from tests.store.faults import Calls, Disk, Killed, build, many
+from tests.store.faults import Calls, Disk, Killed, build
 from tests.store.stores import TEXT, contents, enlarge, repaired, run
+from tests.torture import many
 
 
 def report(counted):
@@ -308,19 +308,19 @@ def test_a_killed_process_loses_nothing(stores, quick, processes):
 @pytest.mark.skipif(not many(0, 1), reason="`make torture`")
 def test_a_process_that_is_killed_at_any_time_loses_nothing(stores, quick, processes):
     """At random times, with the thread that commits beside the one that computes."""
-    chance, kills, lasts = random.Random(3), 0, 1.0
-    for _ in range(200):
+    chance, kills = random.Random(3), 0
+    for _ in range(500):
         with stores.case() as path:
             sent = []
-            while "ended" not in sent:
-                seconds, began = chance.uniform(0.001, lasts), time.monotonic()
+            for seconds in (*(chance.uniform(0.005, 0.08) for _ in range(5)), 1e6):
                 sent += said(*processes(victim.work, stores, path, None, seconds))
-                kills += "ended" not in sent
                 if path.exists():
                     stores.sound(path, max((n for n in sent if n != "ended"), default=0))
-            lasts = min(lasts, time.monotonic() - began)
+                if "ended" in sent:
+                    break
+                kills += 1
             assert contents(path) == stores.expected[5]
-    report(f"200 stores, killed {kills} times")
+    report(f"500 stores, killed {kills} times")
 
 
 @pytest.mark.parametrize("place", ["tiny.zarr", f".tiny.zarr{PARTIAL}"])

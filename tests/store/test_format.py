@@ -12,6 +12,7 @@ from sweeps import runner
 from sweeps.plan.grid import Grid
 from sweeps.spec.reading import parse
 from sweeps.store import format as store_format
+from tests.store.stores import flip
 
 PLAN = parse(
     """
@@ -100,11 +101,9 @@ def test_a_long_coordinate_is_written_piece_by_piece(tmp_path, monkeypatch):
         xr.testing.assert_identical(one.drop_attrs(), other.drop_attrs())
 
 
-def test_a_flipped_bit_raises_instead_of_being_read(golden):
+def test_a_flipped_bit_raises_instead_of_being_read(stores):
     """The CRC of the codec guards a reader who knows nothing of the ledger."""
-    file = golden / "nmse" / "c.0.0.0"
-    damaged = bytearray(file.read_bytes())
-    damaged[len(damaged) // 2] ^= 1
-    file.write_bytes(damaged)
-    with pytest.raises(Exception, match="checksum"):
-        xr.open_zarr(golden, chunks=None)["nmse"].load()
+    with stores.case("whole") as path:
+        flip(path / "nmse" / "c.0", 8 * (path / "nmse" / "c.0").stat().st_size // 2)
+        with pytest.raises(Exception, match="checksum"):
+            xr.open_zarr(path, chunks=None)["nmse"].load()

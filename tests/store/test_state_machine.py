@@ -40,8 +40,9 @@ from sweeps.store.format import DIVERGED, FAILED, NOT_RUN, OK, STATUS
 from sweeps.store.lock import LOCK
 from sweeps.store.opening import dataset, open_store
 from tests.command import typed
-from tests.store.faults import Calls, Killed, many
+from tests.store.faults import Calls, Killed
 from tests.store.stores import without_engine
+from tests.torture import many
 
 EXAMPLES, STEPS = many((8, 25), (500, 200))
 FACTS = runner.provenance(32)  # runs git once

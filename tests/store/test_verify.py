@@ -9,8 +9,8 @@ from sweeps.store import verify
 from sweeps.store.ledger import CHECKSUM
 from sweeps.store.lock import LOCK
 from sweeps.store.opening import open_store
-from tests.store.faults import many
 from tests.store.stores import change_attributes, contents, repaired
+from tests.torture import many
 
 
 def flipped(file, chance):
