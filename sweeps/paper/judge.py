@@ -8,7 +8,7 @@ from typing import Literal
 import pandas as pd
 
 from sweeps.paper.scenarios import PRINTED, Reading
-from sweeps.paper.words import ENGINE, rows
+from sweeps.paper.words import evaluated, rows
 
 Verdict = Literal["holds", "holds where", "does not hold"]
 
@@ -95,8 +95,8 @@ class Judgement:
     def shown(self) -> list[Region]:
         """Regions worth a line of the report.
 
-        The whole, and its parts where they tell more than the whole; of another period the whole
-        and the largest complete part.
+        Of the paper's period the whole, and the parts if the whole is not complete; of another
+        period the whole and the largest complete part.
         """
         first, shown = self.regions[0], []
         for region in filter(len, self.regions):
@@ -117,4 +117,4 @@ def judge(claim: Claim, reading: Reading = PRINTED) -> Judgement:
     if "printed" not in table:
         own = table["period"] == table["period"].iloc[0] if "period" in table else True
         table = table.assign(printed=own)
-    return Judgement(claim, table.assign(good=table.eval(claim.good, **ENGINE)))
+    return Judgement(claim, table.assign(good=evaluated(table, claim.good)))

@@ -119,7 +119,7 @@ def _scenarios(judgement: Judgement) -> str:
         title, lines = f"{title}: the first {MOST_ROWS}", lines[:MOST_ROWS]
     if lines.empty:
         return ""
-    names = lines[claim.by].map(lambda v: f"{v:g}" if isinstance(v, float) else number(v))
+    names = lines[claim.by].map(lambda v: f"{v:.4g}" if isinstance(v, float) else number(v))
     shown = names.join(lines[[*claim.measured, "good"]].map(number))
     return f"<details><summary>{title}</summary>\n\n{table(shown)}\n\n</details>"
 

@@ -2,7 +2,7 @@
 
 The section [numbers] of the head says how each number follows from a table of the claim or
 finding: "nmse.max() where printed and Td <= Fmax" is the largest nmse of the rows for which the
-query after `where` is true. pandas evaluates both (`DataFrame.eval`, `DataFrame.query`).
+query after `where` is true. pandas evaluates both (`DataFrame.eval`).
 The section [table] holds the columns of a table: a title, and a cell with numbers in braces.
 """
 
@@ -14,8 +14,6 @@ from typing import Any
 import pandas as pd
 
 FOLDER = Path(__file__).parent
-# numexpr, where somebody has it, would round differently
-ENGINE: Any = {"engine": "python"}
 
 
 @dataclass(frozen=True)
@@ -38,10 +36,19 @@ def read(name: str) -> Words:
 
 def rows(table: pd.DataFrame, query: str) -> pd.DataFrame:
     """The rows of a table for which a query is true; all if it is empty."""
-    return table.query(query, **ENGINE) if query else table
+    return table[evaluated(table, query)] if query else table
+
+
+def evaluated(table: pd.DataFrame, expression: str) -> Any:
+    """An expression of columns: `DataFrame.eval`, which is slow with columns that it does not use.
+
+    The engine is Python: numexpr, if it is installed, would round differently.
+    """
+    used = [name for name in table if str(name) in expression]
+    return table[used].eval(expression, engine="python")
 
 
 def value(table: pd.DataFrame, text: str) -> Any:
     """`EXPRESSION where QUERY`, evaluated."""
     expression, _, query = text.partition(" where ")
-    return rows(table, query).eval(expression, **ENGINE)
+    return evaluated(rows(table, query), expression)
