@@ -70,7 +70,7 @@ def converging_slopes(e_M: Scalar, p: Params, model: Model) -> Slopes:
     In the linear zone, |e_M| <= x0, all of them equal 2 K0.
     """
     linear = jnp.abs(e_M) <= p.x0
-    per_e_M = 1.0 / jnp.where(linear, p.x0, e_M)  # a safe divisor keeps 0/0 out of the gradient
+    per_e_M = 1.0 / jnp.where(linear, p.x0, e_M)  # a safe divisor: no 0/0 in the gradient
     by_energy = jnp.where(linear, 2.0 * p.K0, 4.0 * energy(e_M, p) * per_e_M**2)
     by_effort = jnp.where(linear, 2.0 * p.K0, 2.0 * force(e_M, p) * per_e_M)
     inner = by_effort if model.law == "effort" else by_energy

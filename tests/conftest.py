@@ -16,7 +16,7 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
-# Programs are compiled once for all workers and for the commands that tests start, and kept apart
+# Programs are compiled once for all workers and for the commands that tests start, in a cache apart
 # from the user's. The first process makes the folder, and removes it; the others inherit its name.
 if VARIABLE not in os.environ:
     os.environ[VARIABLE] = tempfile.mkdtemp(prefix="fic-sweep-")

@@ -66,8 +66,8 @@ def _labels(about: Any) -> dict[str, str]:
 def _sampled(params: Params, model: Model, dt: jax.Array, n_samples: int, every: int) -> Sample:
     """Samples with leaves [scenario, time].
 
-    Compiled for sweeps, XLA copies all that a scan has put out so far at every iteration: 10,000
-    samples of five scenarios took 1.4 s. So an inner scan puts out at most a hundred.
+    With the XLA flags of sweeps, each iteration of a scan copies all outputs so far: 10,000 samples
+    of five scenarios took 1.4 s. So an inner scan has at most a hundred outputs.
     """
     inner = max(n for n in range(1, 101) if n_samples % n == 0)
 

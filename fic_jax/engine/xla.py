@@ -103,7 +103,7 @@ def in_blocks(
     shape = (n_columns, len(devices), blocks, LANES)
     columns = jax.ShapeDtypeStruct(shape, dtype, sharding=sharding)
     with warnings.catch_warnings():
-        # jax 0.11 announces Triton's end; Mosaic, its successor, asks for a Hopper GPU
+        # jax 0.11 deprecates Triton; its successor, Mosaic, needs a Hopper GPU
         warnings.filterwarnings("ignore", "The Pallas Triton backend", DeprecationWarning)
         run = shares.lower(columns, np.zeros((), dtype), np.int32(0)).compile()
     return InBlocks(run, result, sharding, len(devices), blocks)

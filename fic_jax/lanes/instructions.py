@@ -91,7 +91,7 @@ class Instructions:
         return self.mask(compare(how, x, y))
 
     def extreme(self, how: str, kind: str, x: Any, y: Any) -> Any:
-        """Maximum or minimum; NaN if one is NaN; of two zeros the second, whatever its sign."""
+        """Maximum or minimum; NaN if one is NaN; of two zeros the second one."""
         one = self.build.select(self.truth(self.compared(how, kind, x, y)), x, y)
         if kind != "f":
             return one

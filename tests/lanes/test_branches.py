@@ -116,7 +116,7 @@ def test_branches_change_no_bit_of_any_program(first, monkeypatch):
     assert n_branches > 0
 
 
-# A feeder with other users, equal arms, a condition that is never met, a way through a loop.
+# Equal arms; a hint whose operand has other users; a condition that no lane meets; a loop between.
 SPECIAL = {
     "equal arms": lambda x, y: jax.lax.fori_loop(
         0, 2, lambda _, s: where_rare(x > 0, lambda: jnp.exp(s), jnp.exp(s)), y

@@ -133,7 +133,7 @@ def trust_means_what_it_says(m, metrics, errors):
 def no_limit_cycle_is_trusted(m, metrics, errors):
     """One for certain: halving the step from 10/16 to 10/32 ms still changes nmse beyond TRUST.
 
-    The last bits decide by how much; the test asks for any change above TRUST.
+    The last bits decide by how much; the test takes any change above TRUST.
     """
     cycles = np.abs(m.nearly / m.exact - 1.0) > TRUST
     assert cycles.any()

@@ -1,28 +1,28 @@
 """The closed loop in continuous time under the sampled Algorithm 2, with located events.
 
 This is the limit dt -> 0, at fixed `period`, of the discretisation in `discrete.py`. The mode is
-no longer decided per step but by the signs of e and v; what each variant becomes:
+decided by the signs of e and v and no longer once a step. The variants in this limit:
 
 * Between ticks d|e|/dt = -sign(e) v, so `velocity` (e v <= 0) and `error_rate` (|e| grew) are
   the same rule except on the lines e = 0 and v = 0. `velocity_band` adds |v| < 0.01.
 * e = 0: |e| falls before and grows after, so the motion always goes on diverging, with e_M = e.
 * v = 0 (and |v| = 0.01 for the band): one side of the line diverges, or both. The discretisation
-  spends at least one step there before it can leave on the other side, so e_M <- e whatever the
+  spends at least one step there before it can leave on the other side, so e_M <- e in every
   variant, and afterwards the acceleration of each side with that e_M says where the motion goes.
-  A converging motion that stops short of x_h is latched anew in this way and, if the stronger
-  diverging torque pushes it on, converges again: a re-latch, with no lasting change of mode.
+  So a converging motion that stops short of x_h gets a new e_M. If the larger diverging torque
+  then pushes it on, it converges again: a new peak (`latches`), with no lasting change of mode.
 * Both sides leading back to the line is a sliding mode (`energy` with K0 x0 > Fmax):
   the discretisation chatters there, and the scenario is `Irregular`.
 * A tick moves x_h and so e, at fixed x and v. `velocity`, `velocity_band`: the mode is the
   printed rule at the new e; e_M <- e when diverging, else e_M stays (it is the last e, just
   before the tick, if the motion was diverging). `error_rate` compares |e| just after the tick
   with |e| just before, since v dt -> 0. If |e| jumped up, the tick step counts as diverging and
-  latches e_M <- e once; from the next step on the sign of e v decides again, so a converging
+  sets e_M <- e once; from the next step on the sign of e v decides again, so a converging
   motion keeps that e_M. If |e| jumped down, one step converges, which has no weight in the limit.
-* At t = 0 the same holds with |e| = 0 before: `error_rate` latches e_M <- e(0) even if the motion
+* At t = 0 the same holds with |e| = 0 before: `error_rate` sets e_M <- e(0) even if the motion
   starts converging, whereas `velocity` with `latched` then keeps e_M = 0 (slope 2 K0).
-* `running`: while converging |e| falls, and e_M has its sign and a larger size once it has been
-  latched; so its two conditions can only come true at a tick (or at t = 0), once.
+* `running`: while converging |e| falls, and e_M, once set, has the sign of e and a larger size; so
+  its two conditions can become true at a tick (or at t = 0) only, once.
 * Motor feedback at a tick is the torque just before it, interaction feedback τ_env at that time.
 """
 
@@ -77,7 +77,7 @@ def simulate(
     A sample at a tick shows the state just before it, as the last plant step does in the
     discretisation. Default times: the ends of all periods. Event times in s: `contact_made`
     (0 if it starts in contact), `contact_lost`, `switches` of the mode, and `latches`, where a
-    converging motion stopped and e_M was latched anew. `margins` in s: see `Record.jump`; a
+    converging motion stopped and e_M was set again. `margins` in s: see `Record.jump`; a
     discretisation with `error_rate` follows this solution only for dt well below all of them.
     """
     period = p["period"]
@@ -120,8 +120,8 @@ def settle(s: State, p: Params, choices: Choices) -> tuple[State, Cell]:
 
     The diverging side comes first, as the discretisation starts there. At v = 0 with nothing
     pushing, the motion rests (zero acceleration) until the next tick. At the band's edge with
-    nothing pushing it enters the band, since all springs then slow it: so ends a swing that was
-    latched at the edge (back at e = 0 with the speed it left with) and a series of ever shorter
+    nothing pushing it enters the band, since all springs then slow it: so ends a swing with its
+    peak at the edge (back at e = 0 with the speed it left with) and a series of ever shorter
     excursions from the edge.
     """
     s = State(s.t, s.x, s.v, s.x_h, s.e)

@@ -48,8 +48,8 @@ class Record:
     def jump(self, e_before: float, before: Cell, s: State) -> None:
         """Record by how much a jump of |e| at a tick outweighs the motion, as a time in s.
 
-        `error_rate` latches a converging motion anew if |e| grew since the last step, that is if
-        the jump exceeds |v| dt. With dt above this margin the discretisation misses the latch.
+        `error_rate` sets a converging motion's e_M again if |e| grew since the last step, that is
+        if the jump exceeds |v| dt. With dt above this margin the discretisation does not set it.
         """
         grown = abs(s.e) - abs(e_before)
         if not before.diverging and grown > 0.0:
