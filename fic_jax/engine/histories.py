@@ -69,7 +69,8 @@ def _sampled(params: Params, model: Model, dt: jax.Array, n_samples: int, every:
     With the XLA flags of sweeps, each iteration of a scan copies all outputs so far: 10,000 samples
     of five scenarios took 1.4 s. So an inner scan has at most a hundred outputs.
     """
-    inner = max(n for n in range(1, 101) if n_samples % n == 0)
+    inner = min(100, n_samples)
+    outer = -(-n_samples // inner)
 
     def one(p: Params) -> Sample:
         def sample(state: Any, _: None) -> Any:
@@ -78,7 +79,7 @@ def _sampled(params: Params, model: Model, dt: jax.Array, n_samples: int, every:
         def some(state: Any, _: None) -> Any:
             return jax.lax.scan(sample, state, length=inner)
 
-        samples = jax.lax.scan(some, with_slopes(p, init(p, model)), length=n_samples // inner)[1]
-        return jax.tree.map(lambda leaf: leaf.reshape(n_samples), samples)
+        samples = jax.lax.scan(some, with_slopes(p, init(p, model)), length=outer)[1]
+        return jax.tree.map(lambda leaf: leaf.reshape(-1)[:n_samples], samples)
 
     return jax.vmap(one)(params)

@@ -30,6 +30,7 @@ def _into_branch(graph: Graph, selects: Sequence[Node], roots: list[Node]) -> No
     condition = selects[0].args[0]
     if len(inside) == len(selects) and not condition.uniform:  # a few blends cost less than a jump
         return
+    graph.forget(inside)  # the condition of the branch can't lie inside it
     if len(selects) == 1 and selects[0] not in roots:
         condition = _where_used(graph, condition, selects[0], users[selects[0]])
     branch = Branch(
@@ -39,7 +40,6 @@ def _into_branch(graph: Graph, selects: Sequence[Node], roots: list[Node]) -> No
         graph.place("result", n.kind, i, uniform=False, scope=scope, of=branch)
         for i, n in enumerate(selects)
     ]
-    graph.forget(inside)
     instead = dict(zip(selects, results, strict=True))
     replace(everything, instead, but=inside)
     roots[:] = [instead.get(root, root) for root in roots]

@@ -23,4 +23,6 @@ def where_rare(condition: Any, compute: Callable[[], Any], otherwise: Any) -> An
         return jax.tree.map(lambda yes, no: jnp.where(condition, yes, no), compute(), otherwise)
 
     assert where_rare.__name__ == RARE
+    if not isinstance(condition, jax.core.Tracer):  # nothing is compiled: no hint is needed
+        return where_rare(condition, otherwise)
     return jax.jit(where_rare)(condition, otherwise)

@@ -80,12 +80,12 @@ def hinted(graph: Graph, node: Node, hint: int) -> Node:
 
 def looped(graph: Graph, eqn: Any, args: list[Node], outer: Scope | None) -> list[Node]:
     """The results of a `fori_loop` or `scan` of known length without arrays."""
-    params, n = eqn.params, len(eqn.outvars)
+    params = eqn.params
     if any(atom.aval.ndim for atom in (*eqn.invars, *eqn.outvars)):
         raise Untranslatable("a scan over arrays")
     if not 0 < params["length"] < 2**31:
         raise Untranslatable(f"a loop of {params['length']} iterations")
-    consts, inits = args[:-n], args[-n:]
+    consts, inits = args[: params["num_consts"]], args[params["num_consts"] :]
     assumed: list[bool] | None = None
     uniform = [init.uniform for init in inits]
     while uniform != assumed:  # a carried value is uniform if it is so after an iteration too

@@ -118,6 +118,12 @@ def test_branches_change_no_bit_of_any_program(first, monkeypatch):
 
 # Equal arms; a hint whose operand has other users; a condition that no lane meets; a loop between.
 SPECIAL = {
+    "condition in its own arm": lambda x, y: jnp.where(
+        y > 1, where_rare(x > 0, lambda: jnp.exp(jnp.where((x > 0) & (y > 1), x, 2 * x)), y), x
+    ),
+    "negation in its own arm": lambda x, y: jnp.where(
+        y > 0, x, where_rare(x > 0, lambda: jnp.exp(jnp.where(~(y > 0), x, 2 * x)), y)
+    ),
     "equal arms": lambda x, y: jax.lax.fori_loop(
         0, 2, lambda _, s: where_rare(x > 0, lambda: jnp.exp(s), jnp.exp(s)), y
     ),

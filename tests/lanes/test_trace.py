@@ -63,6 +63,15 @@ def test_a_scan_without_arrays_is_a_loop():
     np.testing.assert_array_equal(computed(halved, np.float64([8.0, 16.0]))[0], [1.0, 2.0])
 
 
+def test_a_scan_without_a_carry_leaves_nothing():
+    def unchanged(x):
+        jax.lax.scan(lambda carry, _: (carry, None), (), length=3)
+        jax.lax.scan(lambda _, __: ((), (x + 1.0, None)[1]), (), length=2)
+        return x
+
+    np.testing.assert_array_equal(computed(unchanged, np.ones(3))[0], 1.0)
+
+
 @pytest.mark.parametrize(
     ("function", "named"),
     [
