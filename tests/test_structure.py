@@ -1,6 +1,7 @@
 """Imports follow the arrows, and importing fic_jax has no side effect."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -145,3 +146,19 @@ print(*fic_jax.sweep(p, dt=0.01, n_steps=100).nmse)
         for c in (code, tuned)
     )
     assert [float(v) for v in plain] == pytest.approx([float(v) for v in fast], rel=1e-5)
+
+
+def test_the_architecture_page_names_what_exists():
+    """Each row of "I want to change": the file, the functions in it, the test files."""
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (?!…|---)(.*?) \| (.*?) \| (.*?) \|$", page, re.MULTILINE)
+    assert len(rows) > 10
+    for _, place, tests in rows:
+        file, *names = re.findall(r"`([^`]+)`", place)
+        assert (ROOT / file).exists(), file
+        code = [p.read_text() for p in (ROOT / "fic_jax").rglob("*.py")]
+        code += [(ROOT / file).read_text()] if (ROOT / file).is_file() else []
+        for name in (name.rpartition(".")[2] for name in names):
+            assert any(re.search(rf"\b{name}\b", text) for text in code), (file, name)
+        for test in re.findall(r"`(tests/[^`<]+)`", tests):
+            assert (ROOT / test).exists(), test
