@@ -46,16 +46,19 @@ def histories(
         for name, about in SIGNALS.items()
         if name != "t"
     }
-    time = ("time", np.asarray(samples.t)[0], _labels(SIGNALS["t"]))
+    steps = np.arange(every, n_steps + 1, every, dtype=dtype)
+    time = ("time", steps * np.asarray(dt, dtype), _labels(SIGNALS["t"]))
     fields = {
         name: (
-            "scenario" if c.ndim and n > 1 else (),
-            c if n > 1 else c.reshape(()),
+            "scenario" if c.size == n != 1 else (),
+            c if c.size == n != 1 else c.reshape(()),
             _labels(about),
         )
         for (name, c), about in zip(columns.items(), QUANTITIES.values(), strict=True)
     }
-    return xr.Dataset(signals, {"time": time} | fields, {"dt": dt, **dataclasses.asdict(model)})
+    return xr.Dataset(
+        signals, {"time": time} | fields, {"dt": float(dt), **dataclasses.asdict(model)}
+    )
 
 
 def _labels(about: Any) -> dict[str, str]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from fic_jax.lanes.graph import Branch, Graph, Node, live, replace, users_of
+from fic_jax.lanes.graph import Branch, Graph, Node, Scope, live, replace, users_of
 
 
 def branch_out(graph: Graph, roots: list[Node]) -> None:
@@ -14,8 +14,13 @@ def branch_out(graph: Graph, roots: list[Node]) -> None:
     hints = sorted({n.value for n in live(roots) if n.op == "select_n" and n.value is not None})
     for hint in hints:
         selects = [n for n in live(roots) if n.op == "select_n" and n.value == hint]
-        for scope in dict.fromkeys(n.scope for n in selects):
-            _into_branch(graph, [n for n in selects if n.scope is scope], roots)
+        groups: dict[tuple[Scope | None, Node], list[Node]] = {}
+        for select in selects:  # an arm may itself be a select, on another condition
+            groups.setdefault((select.scope, select.args[0]), []).append(select)
+        for (scope, _), group in groups.items():
+            alive = live(roots)
+            if still := [n for n in group if n.scope is scope and n in alive]:
+                _into_branch(graph, still, roots)
 
 
 def _into_branch(graph: Graph, selects: Sequence[Node], roots: list[Node]) -> None:

@@ -163,7 +163,10 @@ class Graph:
         """A number."""
         if np.ndim(value):
             raise Untranslatable(f"an array of shape {np.shape(value)}")
-        return self.node("constant", (), kind, np.asarray(value).item())
+        number = np.asarray(value).item()
+        if kind == "i" and not -(2**31) <= number < 2**31:
+            raise Untranslatable(f"the integer {number}")
+        return self.node("constant", (), kind, number)
 
 
 def live(roots: Iterable[Node]) -> list[Node]:
@@ -175,7 +178,17 @@ def live(roots: Iterable[Node]) -> list[Node]:
         if node not in seen:
             seen.add(node)
             stack += node.uses()
-    return ordered(roots, lambda node: [n for n in node.before() if n in seen])
+    carried: dict[Scope, set[int]] = {}  # indices of the results that are used
+    for node in seen:
+        if node.of:
+            carried.setdefault(node.of, set()).add(node.value)
+
+    def before(node: Node) -> Iterable[Node]:
+        if node.op != "result":
+            return node.args
+        return [n for i in sorted(carried[node.of]) for n in node.of.makes(i)]
+
+    return ordered(roots, before)
 
 
 def loops(roots: Iterable[Node]) -> list[Loop]:

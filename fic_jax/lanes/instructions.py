@@ -131,6 +131,8 @@ class Instructions:
         if node.op == "constant":
             number = -int(node.value) if node.kind == "b" else node.value
             return self.constant(self.alike(node.kind, None), number)
+        if not node.args:
+            raise Untranslatable(f"the operation {node.op} without operands")
         op, kind = node.op, node.args[-1].kind
         if op in SIMPLE[kind]:
             return getattr(self.build, SIMPLE[kind][op])(*args)

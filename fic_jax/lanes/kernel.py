@@ -42,6 +42,8 @@ class Kernel:
 
         def emit() -> str:
             graph, roots = traced(function, types, uniform, dtype)
+            if len(roots) != n_results:
+                raise ValueError(f"`result` has {n_results} leaves, but the function {len(roots)}.")
             common(graph, roots)
             contract(graph, roots)
             branch_out(graph, roots)

@@ -70,7 +70,7 @@ class LaneMap:
         """The kernel for arguments like these, and the types of its results."""
         types = [jax.ShapeDtypeStruct((), leaf.dtype) for leaf in leaves]
         uniform = [leaf.ndim == 0 for leaf in leaves]
-        signature = (tree, *(t.dtype for t in types), *uniform)
+        signature = (tree, dtype, *(t.dtype for t in types), *uniform)
         if signature not in self._compiled:
             from fic_jax.lanes.kernel import Kernel  # llvmlite may be missing, and takes a while
 
@@ -108,7 +108,7 @@ def lane_map(
 
     Arguments are NumPy or JAX arrays [N], or scalars, which are the same for all N; results are
     NumPy arrays [N]. All floats have one type, float32 or float64 (that of the arguments, as JAX
-    sees it). A lane's result depends on its own arguments alone, bit for bit: not on N, on the
+    sees it); integers fit into 32 bits. A lane's result depends on its own arguments alone, bit for bit: not on N, on the
     neighbours, on `threads` (default: all cores) or on the width of the registers.
 
     `key` names the function for the compile cache (`jax_compilation_cache_dir`): functions, and

@@ -1,5 +1,6 @@
 """From LLVM IR to machine code in this process, with a cache beside JAX's compiled programs."""
 
+import contextlib
 import ctypes
 import hashlib
 import os
@@ -93,5 +94,6 @@ def cached(key: str | None, machine: llvm.TargetMachine, emit: Callable[[], str]
         partial.write_bytes(hashlib.sha256(code).digest() + code)
         partial.replace(path)
     except OSError:  # no space, or no permission: the code runs all the same
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            partial.unlink()
     return code

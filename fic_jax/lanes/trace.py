@@ -10,6 +10,7 @@ from fic_jax.lanes.graph import Graph, Loop, Node, Scope, Untranslatable
 from fic_jax.lanes.hints import RARE
 
 SAME = ("copy", "copy_p", "stop_gradient")  # primitives that change no number
+SYNONYMS = {"add_any": "add"}  # in gradients
 CALLS = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call")
 
 
@@ -23,6 +24,8 @@ def traced(
     Raises Untranslatable.
     """
     jaxpr = jax.make_jaxpr(function)(*types)
+    for out in jaxpr.jaxpr.outvars:
+        kind_of(out.aval.dtype, dtype)
     graph = Graph(dtype)
     inputs = [
         graph.place("input", kind_of(t.dtype, dtype), uniform[:i].count(same), uniform=same)
@@ -51,7 +54,7 @@ def inlined(graph: Graph, jaxpr: Any, args: Sequence[Node], scope: Scope | None)
 
 def translated(graph: Graph, eqn: Any, args: list[Node], scope: Scope | None) -> list[Node]:
     """The nodes of one equation's results."""
-    name, params = eqn.primitive.name, eqn.params
+    name, params = SYNONYMS.get(eqn.primitive.name, eqn.primitive.name), eqn.params
     if name in SAME:
         return args
     if name in CALLS:

@@ -40,6 +40,21 @@ def test_every_third_sample_has_the_work_since_the_last_one():
     np.testing.assert_allclose(coarse.work.sum("time"), fine.work.sum("time"), rtol=1e-9)
 
 
+def test_leaves_of_one_element_and_no_scenarios():
+    data = histories(Params(K0=np.array([10.0, 100.0]), Td=np.ones(1)), dt=DT, n_steps=3)
+    assert (data.K0.dims, data.Td.dims) == (("scenario",), ())
+    none = histories(Params(K0=np.zeros(0)), dt=DT, n_steps=3)
+    assert dict(none.sizes) == {"scenario": 0, "time": 3}
+    np.testing.assert_array_equal(none.time, data.time)
+
+
+@pytest.mark.parametrize("n_steps", [101, 211])
+def test_any_number_of_samples(n_steps):
+    data = histories(random_batch(2), dt=DT, n_steps=n_steps)
+    alone = rollout(pick(random_batch(2), 0), dt=DT, n_steps=n_steps)
+    np.testing.assert_allclose(data.x.isel(scenario=0), alone.x, rtol=1e-9, atol=1e-12)
+
+
 def test_one_scenario_and_its_dtype():
     data = histories(jax.tree.map(np.float32, Params()), dt=DT, n_steps=3)
     assert dict(data.sizes) == {"scenario": 1, "time": 3}

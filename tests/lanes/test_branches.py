@@ -118,6 +118,10 @@ def test_branches_change_no_bit_of_any_program(first, monkeypatch):
 
 # Equal arms; a hint whose operand has other users; a condition that no lane meets; a loop between.
 SPECIAL = {
+    "an arm that is a select": lambda x, y: _arm(jnp.where(y > 1.0, x + 1.0, y), x, y),
+    "a carried value that nobody uses": lambda x, y: _unused_carry(
+        where_rare(x > 0, lambda: jnp.exp(x), y), x, y
+    ),
     "condition in its own arm": lambda x, y: jnp.where(
         y > 1, where_rare(x > 0, lambda: jnp.exp(jnp.where((x > 0) & (y > 1), x, 2 * x)), y), x
     ),
@@ -131,6 +135,15 @@ SPECIAL = {
     "never": lambda x, y: jax.lax.fori_loop(0, 5, lambda _, s: _nested(s, x > 9.0), (x, y)),
     "through a loop": lambda x, y: jax.lax.fori_loop(0, 3, lambda _, s: _through(s, x > 0, y), x),
 }
+
+
+def _arm(s, x, y):
+    return where_rare(x > 0.0, lambda: (s, jnp.exp(x)), (s, y))
+
+
+def _unused_carry(rare, x, y):
+    _, b = jax.lax.fori_loop(0, 2, lambda i, s: (s[0] * 0.5, s[1] + y), (rare, y))
+    return jnp.where(b > 0, rare, x)
 
 
 def _feeder(_, s):

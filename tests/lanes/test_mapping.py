@@ -93,6 +93,12 @@ def test_arrays_of_other_shapes_are_refused(shapes):
         lane_map(lambda *x: x[0])(*map(np.ones, shapes))
 
 
+def test_a_result_with_other_leaves_is_refused():
+    mapped = lane_map(lambda x: (x, x), result=jax.ShapeDtypeStruct((), np.float64))
+    with pytest.raises(ValueError, match="`result` has 1 leaves, but the function 2"):
+        mapped(np.ones(3))
+
+
 def test_an_error_in_a_part_reaches_the_caller(monkeypatch):
     mapped = lane_map(jnp.exp, threads=2)
     mapped.prepare(np.ones(2))

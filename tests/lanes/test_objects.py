@@ -144,6 +144,13 @@ def test_a_damaged_object_file_is_compiled_again(cache):
         file.write_bytes(file.read_bytes()[:-1] + b"\0")
 
 
+@pytest.mark.parametrize("folder", ["file", "file/below"])
+def test_a_cache_that_can_not_be_written_is_no_reason_not_to_run(folder, tmp_path):
+    (tmp_path / "file").write_text("no folder")
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path / folder))
+    np.testing.assert_array_equal(lane_map(lambda x: x + 1.0, key="added")(np.ones(3)), 2.0)
+
+
 def test_sources_that_changed_since_the_start_cache_nothing(cache, monkeypatch):
     monkeypatch.setattr("fic_jax.lanes.sources.LOADED", 0.0)
     lane_map(lambda x: x - 1.0, key="subtracted")(np.ones(4))

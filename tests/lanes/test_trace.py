@@ -84,11 +84,25 @@ def test_a_scan_without_a_carry_leaves_nothing():
         (lambda x: jnp.stack([x, x]).sum(), "the operation|array"),
         (lambda x: jax.lax.while_loop(lambda s: s < 1, lambda s: s + 1, x), "while"),
         (lambda x: x.astype(jnp.float64), "float64 among float32"),
+        (lambda x: (x, np.uint8(3)), "uint8 among"),
+        (lambda x: (x, np.float64(0.1)), "float64 among float32"),
+        (lambda x: jnp.arange(3, dtype=x.dtype)[1] * x, "operation|array|among"),
+        (lambda x: jnp.where(x > 0, 2**40, 1), "the integer 1099511627776"),
     ],
 )
 def test_the_error_names_the_untranslatable_operation(function, named):
     with pytest.raises(Untranslatable, match=named):
         computed(function, np.ones(8, np.float32))
+
+
+def test_a_gradient_has_a_translation():
+    """Its sums are `add_any`."""
+
+    def gradient(x):
+        return jax.grad(lambda x: x * jnp.exp(x) + x * x)(x)
+
+    x = np.linspace(-1.0, 1.0, 9)
+    np.testing.assert_allclose(computed(gradient, x)[0], np.exp(x) * (1 + x) + 2 * x, rtol=1e-14)
 
 
 def test_floats_of_other_types_have_no_translation():
