@@ -108,8 +108,8 @@ def lane_map(
 
     Arguments are NumPy or JAX arrays [N], or scalars, which are the same for all N; results are
     NumPy arrays [N]. All floats have one type, float32 or float64 (that of the arguments, as JAX
-    sees it); integers fit into 32 bits. A lane's result depends on its own arguments alone, bit for bit: not on N, on the
-    neighbours, on `threads` (default: all cores) or on the width of the registers.
+    sees it); integers fit into 32 bits. A lane's result depends on its own arguments alone, bit for
+    bit: not on N, on the neighbours, on `threads` (default: all cores) or on the registers' width.
 
     `key` names the function for the compile cache (`jax_compilation_cache_dir`): functions, and
     versions of one function, need different keys. Cached code is neither traced nor compiled.
