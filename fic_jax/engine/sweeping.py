@@ -27,7 +27,7 @@ UNROLL = {"rk4": 2, "rk4_events": 1}
 # What a user loses where "auto" cannot use the fast backend.
 SLOWER = {
     "lanes": "the lane compiler is not available {where}: XLA compiles the sweep instead, expect "
-    "two fifths of the speed; `pip install llvmlite` if it is missing",
+    "half the speed; `pip install llvmlite` if it is missing",
     "pallas": "no GPU kernel {where}: XLA launches several kernels for each plant step instead, "
     "expect a small part of the speed",
 }
