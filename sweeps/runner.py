@@ -196,7 +196,7 @@ def _compute(
     grid: Grid, block: Block, dtype: str, cells: slice | np.ndarray = slice(None)
 ) -> tuple[Metrics, Metrics | None]:
     """Metrics of a block, or of some of its cells, and their errors if the sweep wants them."""
-    params = {name: np.asarray(v, dtype) for name, v in vars(grid.params(block, dtype)).items()}
+    params = vars(grid.params(block, dtype))
     batch = Params(**{name: v[cells] if v.ndim else v for name, v in params.items()})
     plan = grid.sweep
     model, dt, n_steps = grid.model(block), plan.time.dt, plan.n_steps
