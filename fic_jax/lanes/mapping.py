@@ -146,5 +146,4 @@ def _as_bits(values: np.ndarray, dtype: np.dtype) -> np.ndarray:
     """Floats as they are; integers and bools as bits of integers in the floats' width."""
     if values.dtype.kind == "f":
         return values
-    whole = values.astype(f"i{dtype.itemsize}")
-    return (-whole if values.dtype.kind == "b" else whole).view(dtype)
+    return values.astype(f"i{dtype.itemsize}").view(dtype)
