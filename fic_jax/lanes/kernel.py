@@ -58,7 +58,7 @@ class Kernel:
     def __call__(self, columns: np.ndarray, uniforms: np.ndarray) -> np.ndarray:
         """Results [n_results, n] for columns [n_columns, n], n a multiple of `lanes`.
 
-        All in `dtype`; integers and bools are bits of integers of that width, true is all ones.
+        All in `dtype`. Integers and bools are bits of integers of that width; a bool is 0 if false.
         """
         n = columns.shape[1]
         assert n % self.lanes == 0
