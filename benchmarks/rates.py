@@ -83,9 +83,9 @@ def scaling(plan: Plan, say: Say) -> Table:
         one.call(FIRST, kind="engine", steps=plan.steps, n=sizes[0], devices=1)
         for n in sizes:
             say(f"scaling: {n:,} scenarios")
-            asked = {"kind": "engine", "steps": plan.steps, "n": n}
+            arguments = {"kind": "engine", "steps": plan.steps, "n": n}
             pairs = [
-                [1e6 / n * child.call(SECONDS, **asked) for child in (every, one)]
+                [1e6 / n * child.call(SECONDS, **arguments) for child in (every, one)]
                 for _ in range(plan.rounds(n))
             ]
             all_us, one_us = zip(*pairs, strict=True)

@@ -173,15 +173,15 @@ def main() -> None:
     form = parser.add_mutually_exclusive_group()
     for name in ("json", "markdown"):
         form.add_argument(f"--{name}", dest="form", action="store_const", const=name)
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     before = machine()
-    methods = tuple(m for m in METHODS if not asked.only or m.name in asked.only)
-    points = rows(methods, asked.scenarios)
-    title = f"Error of nmse against cost, {3 * asked.scenarios:,} scenarios"
+    methods = tuple(m for m in METHODS if not arguments.only or m.name in arguments.only)
+    points = rows(methods, arguments.scenarios)
+    title = f"Error of nmse against cost, {3 * arguments.scenarios:,} scenarios"
     table = Table(title, COLUMNS, points)
-    sys.stdout.write(render(before, {"precision": table}, asked.form or "text") + "\n")
-    if asked.out:
-        save(plot(points), asked.out)
+    sys.stdout.write(render(before, {"precision": table}, arguments.form or "text") + "\n")
+    if arguments.out:
+        save(plot(points), arguments.out)
 
 
 # Called in a child:
