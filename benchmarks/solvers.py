@@ -104,7 +104,7 @@ def adaptive_with_events(model: Model, rtol: float) -> Scenario:
         def sample(carry: Any, _: None) -> tuple[Any, None]:
             (x, v, e_M, x_h), total = carry
             none = jnp.zeros_like(x, jnp.int32)
-            x_h = explore(x_h, none, x, interaction_torque(x, v, p, model), p, PERIOD)[0]
+            x_h = explore(x_h, none, x, interaction_torque(x, v, p, model), p, model, PERIOD)[0]
             first = (jnp.zeros_like(x), x, v, e_M, x_h, none)
             x, v, e_M, x_h = jax.lax.while_loop(goes_on, segment, first)[1:5]
             total = total + _square(p, interaction_torque(x, v, p, model))

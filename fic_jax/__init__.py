@@ -1,7 +1,7 @@
 """fic_jax: the Fractal Impedance Controller (Tiseo et al. 2020), simulated by the million."""
 
 from fic_jax._version import NUMERICS, __version__
-from fic_jax.accuracy import TRUST, evaluate_with_error, trusted
+from fic_jax.accuracy import TRUST, Bound, evaluate_with_error, trusted
 from fic_jax.engine import histories, sweep, tune_for_throughput
 from fic_jax.metrics import METRICS, Metrics, evaluate
 from fic_jax.params import CHOICES, QUANTITIES, Model, Params, ParamsError
@@ -15,6 +15,7 @@ __all__ = [
     "QUANTITIES",
     "SIGNALS",
     "TRUST",
+    "Bound",
     "Memory",
     "Metrics",
     "Model",

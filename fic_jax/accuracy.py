@@ -1,6 +1,6 @@
 """Error estimates: the difference between metrics and their limit for dt -> 0."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,33 @@ from fic_jax.metrics import Metrics, compiled_evaluate
 from fic_jax.params import Model, Params, Scalar
 from fic_jax.simulation import checked
 
-TRUST = 0.01  # a scenario is trusted up to this relative error of nmse
+
+@dataclass(frozen=True)
+class Bound:
+    """The largest estimated error of a trusted metric: a part of a scale, and at least a floor."""
+
+    part: float
+    scale: str  # of what `part` is: "value", of the metric itself; "T_n"; "t_end"
+    floor: float = 0.0  # in the metric's unit
+
+    def error(self, value: Scalar, t_end: Scalar) -> Scalar:
+        """The bound in the metric's unit. Errors in units of T_n have the scale 1."""
+        scale = {"value": jnp.abs(value), "T_n": 1.0, "t_end": t_end}[self.scale]
+        return jnp.maximum(self.part * scale, self.floor)
+
+
+TRUST = {
+    "nmse": Bound(0.01, "value", floor=1e-12),
+    "nmse_tail": Bound(0.01, "value", floor=1e-12),
+    "convergence_time": Bound(0.01, "t_end"),
+    "steady_error": Bound(0.01, "T_n"),
+    "peak_torque": Bound(0.01, "value"),
+    "overshoot": Bound(0.01, "T_n"),
+    "contact_time": Bound(0.01, "t_end"),
+    "contact_lost": Bound(0.01, "t_end"),
+    "mode_switches": Bound(0.0, "value"),
+    "energy_in": Bound(0.01, "value", floor=1e-6),
+}
 # Halving the step removes three quarters of the error of a method of order 2. The error of rk4 is
 # of first order and erratic; its companion is far more accurate, so the difference is the error.
 _TO_LIMIT = {"rk4": 1.0, "rk4_events": 4.0 / 3.0}
@@ -55,9 +81,17 @@ def difference(metrics: Metrics, companion: Metrics, model: Model) -> Metrics:
     return replace(jax.tree.map(error, metrics, companion), finite=finite)
 
 
-def trusted(metrics: Metrics, errors: Metrics) -> Scalar:
-    """Whether the error of nmse is at most TRUST (1 %) of nmse: bool, scalar or [N].
+def trusted(metrics: Metrics, errors: Metrics, t_end: Scalar) -> Metrics:
+    """Whether the estimated error of each metric is within its bound, `TRUST`: bool leaves.
 
-    Takes the two Metrics of `evaluate_with_error` or `sweep`. False if a run was not finite.
+    Takes the two Metrics of `evaluate_with_error` or `sweep` (scalars or [N]), and the duration of
+    the run in seconds. False where a run was not finite. An infinite time is trusted if it is
+    infinite in both runs. The leaf `finite` says whether both runs were.
     """
-    return errors.nmse <= TRUST * metrics.nmse
+
+    def within(name: str) -> Scalar:
+        value, error = getattr(metrics, name), getattr(errors, name)
+        bound = TRUST[name].error(jnp.where(jnp.isfinite(value), value, 0.0), t_end)
+        return errors.finite & (error <= bound)
+
+    return Metrics(**{name: within(name) for name in TRUST}, finite=errors.finite)

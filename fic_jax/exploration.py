@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from fic_jax.params import Params, Scalar, steps_per_period
+from fic_jax.params import Model, Params, Scalar, steps_per_period
 
 
 def expected_reference(p: Params) -> Scalar:
@@ -11,21 +11,35 @@ def expected_reference(p: Params) -> Scalar:
     return p.xd + p.Td / p.K0
 
 
+def expects_contact(x: Scalar, p: Params, model: Model) -> jax.Array:
+    """Whether the expected contact is still ahead at position x (rad); Algorithm 2's |x~| <= |xd|.
+
+    x~ is the displacement x, or the error xd - x (`Model.expectation`).
+    """
+    distance = x if model.expectation == "displacement" else p.xd - x
+    return jnp.abs(distance) <= jnp.abs(p.xd)
+
+
 def explore(
-    x_h: Scalar, countdown: Scalar, x: Scalar, measured: Scalar, p: Params, dt: Scalar
+    x_h: Scalar,
+    countdown: Scalar,
+    x: Scalar,
+    measured: Scalar,
+    p: Params,
+    model: Model,
+    dt: Scalar,
 ) -> tuple[jax.Array, jax.Array]:
     """The reference x_h (rad) of this plant step, and the plant steps until the next tick.
 
     On a tick, with F = `measured` (N*m) and F != Td (Algorithm 2):
-        x_h <- xd + Td/K0                              while |x| <= |xd|
+        x_h <- xd + Td/K0                              while it expects contact
         x_h <- x_h + (Td - F)/Td * sigma * Td/K0       afterwards
-    Between ticks, and where F = Td, x_h stays. The printed algorithm's |x~| is the
-    displacement from the reference position, here |x|.
+    Between ticks, and where F = Td, x_h stays.
     """
     ticks = countdown <= 0
     # (Td - F)/Td * Td/K0: Td cancels, and with it the division by a vanishing Td.
     searched = x_h + p.sigma / p.K0 * (p.Td - measured)
-    target = jnp.where(jnp.abs(x) <= jnp.abs(p.xd), expected_reference(p), searched)
+    target = jnp.where(expects_contact(x, p, model), expected_reference(p), searched)
     x_h = jnp.where(ticks & (measured != p.Td), target, x_h)
     countdown = jnp.where(ticks, steps_per_period(p.period, dt), countdown) - 1
     return x_h, countdown

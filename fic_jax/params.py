@@ -54,6 +54,7 @@ QUANTITIES = {f.name: f.metadata for f in dataclasses.fields(Params)}
 Law = Literal["algorithm1", "effort", "energy"]
 Divergence = Literal["velocity", "error_rate", "velocity_band"]
 Peak = Literal["latched", "running"]
+Expectation = Literal["displacement", "error"]
 Feedback = Literal["interaction", "motor"]
 Contact = Literal["hard_stop", "damped_rebound", "welded"]
 Integrator = Literal["rk4", "rk4_events"]
@@ -71,6 +72,8 @@ class Model:
         `velocity_band`: as `velocity`, and also while |v| < 0.01 rad/s.
     peak: the peak error e_M while converging
         `latched`: constant; `running`: follows an error that is larger or of the other sign.
+    expectation: when Algorithm 2 searches, because the expected contact xd has been passed
+        `displacement`: |x| > |xd|, as its text says; `error`: |xd - x| > |xd|, as it is printed.
     feedback: the torque that Algorithm 2 measures, `interaction` (tau_env) or `motor`.
     contact: `hard_stop` (undamped rebound, does not pull), `damped_rebound` or `welded`.
     integrator: `rk4`, Simulink's ode4; `rk4_events`, RK4 with its switches located in the step.
@@ -81,6 +84,7 @@ class Model:
     law: Law = "algorithm1"
     divergence: Divergence = "velocity"
     peak: Peak = "latched"
+    expectation: Expectation = "displacement"
     feedback: Feedback = "interaction"
     contact: Contact = "hard_stop"
     integrator: Integrator = "rk4"
@@ -101,6 +105,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "law": get_args(Law),
     "divergence": get_args(Divergence),
     "peak": get_args(Peak),
+    "expectation": get_args(Expectation),
     "feedback": get_args(Feedback),
     "contact": get_args(Contact),
     "integrator": get_args(Integrator),

@@ -76,6 +76,8 @@ SIGNALS = {f.name: f.metadata for f in dataclasses.fields(Sample)}
 def init(params: Params, model: Model = Model()) -> State:
     """The state before the first plant step: at x_init and v_init, with x_h = xd + Td/K0.
 
+    The peak error is x_h - x_init: a joint that starts towards x_h has its peak behind it.
+
     Algorithm 2 ticks at the first step. It then reads tau_env of the initial state (`interaction`),
     or 0 N*m, as the motor has not acted (`motor`). Checks no values.
     """
@@ -85,7 +87,8 @@ def init(params: Params, model: Model = Model()) -> State:
     if model.feedback == "interaction":
         measured = interaction_torque(p.x_init, p.v_init, p, model)
     step_zero = jnp.zeros_like(p.x_init, jnp.int32)
-    memory = Memory(expected_reference(p), at_rest, at_rest, step_zero)
+    x_h = expected_reference(p)
+    memory = Memory(x_h, x_h - p.x_init, at_rest, step_zero)
     return State(step_zero, p.x_init, p.v_init, measured, memory)
 
 
@@ -100,7 +103,7 @@ def decide(
     p: Params, memory: Memory, x: Scalar, v: Scalar, measured: Scalar, model: Model, dt: Scalar
 ) -> tuple[Memory, Attractor]:
     """Explore (Algorithm 2), then choose branch and peak error (Algorithm 1) for this step."""
-    x_h, countdown = explore(memory.x_h, memory.countdown, x, measured, p, dt)
+    x_h, countdown = explore(memory.x_h, memory.countdown, x, measured, p, model, dt)
     e = x_h - x
     diverging = diverges(e, v, memory.e_last, model)
     attractor = begin_branch(e, diverging, memory.e_M, p, model, memory.slopes)
@@ -112,7 +115,7 @@ def _decide_and_advance_located(
 ) -> tuple[Memory, Attractor, Motion]:
     """`decide` and advance in one: each segment of a located step decides its own branch."""
     memory = state.memory
-    x_h, countdown = explore(memory.x_h, memory.countdown, state.x, state.measured, p, dt)
+    x_h, countdown = explore(memory.x_h, memory.countdown, state.x, state.measured, p, model, dt)
     motion, attractor = advance_located(
         p, start, x_h, memory.e_M, memory.e_last, memory.slopes, model, dt
     )

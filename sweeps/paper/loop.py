@@ -125,7 +125,9 @@ def _one(p: Params, branch: str) -> Loop:
 
     def tick(y: jax.Array) -> jax.Array:
         past_contact = jnp.abs(p.xd) + 1.0  # where Algorithm 2 searches
-        x_h, _ = explore(y[2], jnp.zeros((), jnp.int32), past_contact, touch(y), p, p.period)
+        x_h, _ = explore(
+            y[2], jnp.zeros((), jnp.int32), past_contact, touch(y), p, LINEAR, p.period
+        )
         return jnp.stack([y[0], y[1], x_h])
 
     def square(f: Callable[[jax.Array], jax.Array], corner: float) -> jax.Array:

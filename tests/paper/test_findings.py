@@ -49,7 +49,7 @@ def held(p: Params, dt: jax.Array, periods: int) -> jax.Array:
     def period(carry, _):
         motion, x_h = carry
         tau_env = interaction_torque(motion.x, motion.v, p, WELDED)
-        x_h, _ = explore(x_h, tick, jnp.ones_like(x_h), tau_env, p, p.period)
+        x_h, _ = explore(x_h, tick, jnp.ones_like(x_h), tau_env, p, Model(), p.period)
 
         def plant(_, motion):
             e = x_h - motion.x
