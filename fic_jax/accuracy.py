@@ -33,7 +33,7 @@ TRUST = {
     "overshoot": Bound(0.01, "T_n"),
     "contact_time": Bound(0.01, "t_end"),
     "contact_lost": Bound(0.01, "t_end"),
-    "mode_switches": Bound(0.0, "value"),
+    "mode_switches": Bound(0.01, "value"),
     "energy_in": Bound(0.01, "value", floor=1e-6),
 }
 # Halving the step removes three quarters of the error of a method of order 2. The error of rk4 is
