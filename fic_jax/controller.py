@@ -104,18 +104,20 @@ def peak_error_after(attractor: Attractor, e: Scalar) -> jax.Array:
     return jnp.where(attractor.diverging, e, attractor.e_M)
 
 
-def torque(e: Scalar, attractor: Attractor, p: Params, side: Scalar | None = None) -> jax.Array:
-    """The controller's torque towards the reference (N*m), limited to +-Fmax (Algorithm 1).
-
-        diverging     F_K(e)
-        converging    slope (e - e_M/2), with the inner slope where |e| <= x0, the outer beyond
-
-    `side`, an error (rad), chooses the piece instead of `e`.
-    """
-    slopes = attractor.slopes
-    inner = jnp.abs(e if side is None else side) <= p.x0
-    converging = jnp.where(inner, slopes.inner, slopes.outer) * (e - 0.5 * attractor.e_M)
-    tau = jnp.where(attractor.diverging, force(e, p, side), converging)
+def torque(e: Scalar, attractor: Attractor, p: Params) -> jax.Array:
+    """The controller's torque towards the reference (N*m), limited to +-Fmax (Algorithm 1)."""
+    tau = unlimited_torque(e, attractor, p)
     # where, not clip: XLA's minimum and maximum look for NaN first, which costs twice as much
     tau = jnp.where(tau < -p.Fmax, -p.Fmax, tau)
     return jnp.where(tau > p.Fmax, p.Fmax, tau)
+
+
+def unlimited_torque(e: Scalar, attractor: Attractor, p: Params) -> jax.Array:
+    """The torque before its limit, N*m.
+
+    diverging     F_K(e)
+    converging    slope (e - e_M/2), with the inner slope where |e| <= x0, the outer beyond
+    """
+    slopes = attractor.slopes
+    slope = jnp.where(jnp.abs(e) <= p.x0, slopes.inner, slopes.outer)
+    return jnp.where(attractor.diverging, force(e, p), slope * (e - 0.5 * attractor.e_M))

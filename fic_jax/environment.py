@@ -13,19 +13,15 @@ def in_contact(x: Scalar, p: Params, model: Model) -> jax.Array:
     return x >= p.gap
 
 
-def interaction_torque(
-    x: Scalar, v: Scalar, p: Params, model: Model, side: tuple[Scalar, Scalar] | None = None
-) -> jax.Array:
+def interaction_torque(x: Scalar, v: Scalar, p: Params, model: Model) -> jax.Array:
     """Torque the joint exerts on the environment, tau_env in N*m.
 
         welded          Kenv (x - gap) + Denv v
         hard_stop       0 while x < gap, else Kenv (x - gap) + Denv max(v, 0)
         damped_rebound  0 while x < gap, else Kenv (x - gap) + Denv v
 
-    The hard stop is Simscape's with undamped rebound: it does not pull. `side`, a position and a
-    velocity, decides about contact and direction instead of x and v.
+    The hard stop is Simscape's with undamped rebound: it does not pull.
     """
-    x_side, v_side = (x, v) if side is None else side
-    rate = jnp.where(v_side > 0.0, v, 0.0) if model.contact == "hard_stop" else v
+    rate = jnp.where(v > 0.0, v, 0.0) if model.contact == "hard_stop" else v
     pressed = p.Kenv * (x - p.gap) + p.Denv * rate
-    return jnp.where(in_contact(x_side, p, model), pressed, 0.0)
+    return jnp.where(in_contact(x, p, model), pressed, 0.0)

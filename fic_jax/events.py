@@ -1,35 +1,43 @@
 """One plant step by RK4 with its switches located inside it.
 
-The law switches at v = 0, e = 0, |e| = x0 and |e| = xb, the environment at x = gap. The first
-switch divides the step into two segments. A point just ahead of a segment's start chooses its piece
-of the closed loop. The first segment ends where RK4's interpolant crosses to the next piece. The
-kink at the limit +-Fmax (K0 x0 > Fmax, or |e| above |e_M|) is not located.
+The law switches at v = 0, e = 0, |e| = x0, |e| = xb and where the torque meets its limit, the
+environment at x = gap. The step goes from switch to switch: a piece of the closed loop (piece.py)
+ends where its path crosses to the next one.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
 
-from fic_jax.controller import (
-    REST_BAND,
-    Attractor,
-    Slopes,
-    begin_branch,
-    departs,
-    diverges,
-    peak_error_after,
-    torque,
-)
+from fic_jax.controller import REST_BAND, Attractor, Slopes, peak_error_after
 from fic_jax.lanes.hints import where_rare
 from fic_jax.params import Model, Params, Scalar
-from fic_jax.rk4 import Motion, Stages, end_of, net_torque, stages, step_sizes
+from fic_jax.piece import Arrival, Path, Piece, enter, fast, path_of, swept
+from fic_jax.rk4 import Motion
 
-# The point that chooses a segment's piece lies this part of a plant step ahead of its start.
-AHEAD = 2.0**-10
-# rad/s, where a motion meets the edge of the rest band: 1e-9 inside, so that it counts as at rest
-# until it has left. An acceleration below 1e-9 rad/s in AHEAD of a step counts as none.
-BAND_EDGE = (1.0 - 1e-7) * REST_BAND
+# Pieces of a plant step. The last one lasts to the end of the step: a switch that it passes acts at
+# the next step, an error of first order.
+PIECES = 4
+# rad/s, the speed of a motion that has just entered the rest band: inside it, so that it counts as
+# at rest until it has left.
+INSIDE_BAND = (1.0 - 1e-7) * REST_BAND
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Events:
+    """What the metrics need of a plant step beyond its integrals."""
+
+    began: Scalar  # bool: the branch at its start, true if diverging
+    highest: Scalar  # N*m, largest tau_env
+    lowest: Scalar  # N*m, smallest tau_env
+    contact: Scalar  # part of the step in contact
+    touch: Scalar  # part of the step before its first contact
+    switches: Scalar  # of the branch, int32
+
+
+Passage = tuple[Motion, Events, Attractor]  # the end of some pieces, and what happened on the way
 
 
 def advance_located(
@@ -37,170 +45,225 @@ def advance_located(
     start: Motion,
     x_h: Scalar,
     e_M: Scalar,
-    e_last: Scalar,
     known: Slopes | None,
     model: Model,
     dt: Scalar,
-) -> tuple[Motion, Attractor]:
-    """One plant step of `dt` seconds, and the attractor of its last segment.
-
-    The first segment ends at the first switch, the second at the end of the step. A second switch
-    in one step acts at the next step only: an error of first order. `e_last` is |e| (rad) before
-    this step's tick of Algorithm 2.
-    """
-    grown = jnp.zeros_like(start.x, bool)
-    if model.divergence == "error_rate":  # by the tick; within a step the sign of e v decides
-        grown = diverges(x_h - start.x, start.v, e_last, model)
-    before, side = enter(p, start, x_h, e_M, grown, known, model, dt)
-    k = stages(p, start, x_h, before, model, dt, side)
-    part, switch = until_switch(p, start, x_h, k, model, dt)
-
-    def after_switch() -> tuple[Motion, Attractor]:
-        left = (1.0 - part) * dt
-        e_M = peak_error_after(before, x_h - switch.x)
-        nowhere = jnp.zeros_like(grown)
-        after, side = enter(p, switch, x_h, e_M, nowhere, before.slopes, model, dt)
-        k = stages(p, switch, x_h, after, model, left, side)
-        return end_of(switch, k, step_sizes(p, left)), after
-
-    return where_rare(part < 1.0, after_switch, (switch, before))
+) -> Passage:
+    """One plant step of `dt` seconds, after the peak error `e_M` (rad)."""
+    a = enter(p, start.x, start.v, x_h, e_M, known, model)
+    return _to_end(p, a, x_h, model, dt, PIECES)
 
 
-def enter(
-    p: Params,
-    at: Motion,
-    x_h: Scalar,
-    e_M: Scalar,
-    grown: Scalar,
-    known: Slopes | None,
-    model: Model,
-    dt: Scalar,
-) -> tuple[Attractor, Motion]:
-    """The attractor of the segment that starts at `at`, and the point ahead that chooses its piece.
+def _to_end(p: Params, a: Piece, x_h: Scalar, model: Model, h: Scalar, pieces: int) -> Passage:
+    """The motion over the next h seconds, in at most this number of pieces."""
+    path = path_of(p, a, h)
+    z, u = path.way(), path.speed()
+    no = jnp.zeros_like(a.bends)
+    whole = Arrival(jnp.ones_like(z), z, u, no, no)
+    there = along(p, a, h, whole, model)
+    if pieces == 1:
+        return there
+    lowest, highest = _speeds(a, model)
+    leaves = (u < lowest) | (z > a.ahead) | (z > a.wall) | (a.slope * z > a.slack) | fast(p, a, h)
+    if model.divergence == "velocity_band":
+        leaves = leaves | (u > highest)
 
-    At rest both branches are possible. Algorithm 1 first diverges, with e_M = e; the acceleration
-    that follows decides the direction, and so the branch.
-    """
-    e = x_h - at.x
-    diverging = departs(e, at.v, model)
-    first = begin_branch(e, diverging, jnp.where(grown, e, e_M), p, model, known)
-    tau = torque(e, first, p)
-    soon = AHEAD * dt
-    v = at.v + step_sizes(p, soon).v * net_torque(p, tau, at.x, at.v, model)
-    way = 0.5 * soon * (at.v + v)
-    # Four units in the last place more: otherwise rounding leaves a slow motion on the switch.
-    least = 4.0 * jnp.finfo(at.x.dtype).eps * (jnp.abs(at.x) + jnp.abs(x_h))
-    way = jnp.where(way < 0.0, way - least, way + least)
-    ahead = jax.lax.stop_gradient(Motion(at.x + way, v, at.work))  # only compared with levels
-    diverging = diverging & departs(x_h - ahead.x, ahead.v, model)
-    return begin_branch(e, diverging, first.e_M, p, model, first.slopes), ahead
+    def onward() -> Passage:
+        end = arrival(p, a, path, whole, model)
+        first = along(p, a, end.part * h, end, model)
+        left = h - end.part * h
+        x, v = first[0].x, first[0].v
+        e_M = peak_error_after(a.attractor, x_h - x)
+        b = enter(p, x, v, x_h, e_M, a.attractor.slopes, model)
+        return _joined(first, end.part, _to_end(p, b, x_h, model, left, pieces - 1))
+
+    return where_rare(leaves, onward, there)
 
 
-def until_switch(
-    p: Params, start: Motion, x_h: Scalar, k: Stages, model: Model, h: Scalar
-) -> tuple[Scalar, Motion]:
-    """The part of `h` up to the segment's first switch, 1 without one, and the motion there.
+def _speeds(a: Piece, model: Model) -> tuple[Scalar, Scalar]:
+    """The speeds at which a piece ends, rad/s."""
+    if model.divergence != "velocity_band":
+        return 0.0, jnp.inf
+    diverging = a.attractor.diverging
+    inside = diverging & ~a.outwards
+    return jnp.where(diverging, 0.0, REST_BAND), jnp.where(inside, REST_BAND, jnp.inf)
 
-    The crossing of v comes first: up to v = 0 the position is monotonic and takes each value once.
-    A v that crosses 0 twice within the segment goes unnoticed.
-    """
-    size = step_sizes(p, h)
-    path, end = Interpolant.of(start, k, size), end_of(start, k, size)
-    whole = jnp.ones_like(start.v)
-    v_level, stops = _first_between(_speed_levels(model), start.v, end.v)
-    stop = where_rare(
-        stops, lambda: path.part_at("v", v_level - start.v, end.v - start.v, whole), whole
+
+def _joined(first: Passage, part: Scalar, then: Passage) -> Passage:
+    """A piece that took this part of the time, and those after it."""
+    (m, seen, _), (end, later, attractor) = first, then
+    rest = 1.0 - part
+
+    def mean(a: Scalar, b: Scalar) -> Scalar:
+        return part * a + rest * b
+
+    motion = replace(
+        end,
+        work=m.work + end.work,
+        error=mean(m.error, end.error),
+        square=mean(m.square, end.square),
     )
-    farthest = jnp.where(stops, path.at(stop).x, end.x)
-    x_level, passes = _first_between(_position_levels(p, x_h, model), start.x, farthest)
-    part = where_rare(
-        passes, lambda: path.part_at("x", x_level - start.x, farthest - start.x, stop), stop
+    events = Events(
+        began=seen.began,
+        highest=jnp.maximum(seen.highest, later.highest),
+        lowest=jnp.minimum(seen.lowest, later.lowest),
+        contact=mean(seen.contact, later.contact),
+        touch=jnp.where(seen.contact > 0.0, 0.0, part + rest * later.touch),
+        switches=(seen.began != later.began).astype(jnp.int32) + later.switches,
     )
-    at = path.at(part)
-    # Exactly on the level, so that the next segment does not cross it a second time.
-    x = jnp.where(passes, x_level, jnp.where(stops, at.x, end.x))
-    v = jnp.where(passes, at.v, jnp.where(stops, v_level, end.v))
-    return part, Motion(x, v, jnp.where(passes | stops, at.work, end.work))
+    return motion, events, attractor
 
 
-def _speed_levels(model: Model) -> tuple[float, ...]:
-    return (-BAND_EDGE, 0.0, BAND_EDGE) if model.divergence == "velocity_band" else (0.0,)
+def along(p: Params, a: Piece, h: Scalar, end: Arrival, model: Model) -> Passage:
+    """The motion over h seconds of one piece.
+
+    T is known with its first two derivatives at both ends. So the means have order six (Hermite's
+    quadrature), and an extreme between the ends is that of a parabola.
+    """
+    z, u = end.z, end.u
+    tau, stiffness, work = _law_at(p, a, z)
+    tau_env = a.tau_env + a.Kenv * z + a.Denv * (u - a.u)
+    r0, c0 = _rates(p, a, h, a.u, a.torque - a.tau_env, a.stiffness)
+    r1, c1 = _rates(p, a, h, u, tau - tau_env, stiffness)
+    T0, T1 = a.s * a.tau_env, a.s * tau_env
+    r0, r1, c0, c1 = a.s * r0, a.s * r1, a.s * c0, a.s * c1
+    g0, g1 = T0 - p.Td, T1 - p.Td
+    error = 0.5 * (g0 + g1) + 0.1 * (r0 - r1) + (1.0 / 120.0) * (c0 + c1)
+    square = (
+        0.5 * (g0 * g0 + g1 * g1)
+        + 0.2 * (g0 * r0 - g1 * r1)
+        + (1.0 / 60.0) * (r0 * r0 + g0 * c0 + r1 * r1 + g1 * c1)
+    )
+
+    def parabola() -> Scalar:
+        part = r0 / jnp.where(r0 == r1, 1.0, r0 - r1)
+        return 0.5 * (T0 + T1 + 0.5 * part * r0 - 0.5 * (1.0 - part) * r1)
+
+    top = where_rare(r0 * r1 < 0.0, parabola, T1)
+    touches = a.touches.astype(z.dtype)
+    x = a.x + a.s * z
+    if model.contact != "welded":
+        x = jnp.where(end.at_wall, p.gap, x)
+    motion = Motion(x, a.s * u, work, error, square)
+    events = Events(
+        began=a.attractor.diverging,
+        highest=jnp.maximum(jnp.maximum(T0, T1), top),
+        lowest=jnp.minimum(jnp.minimum(T0, T1), top),
+        contact=touches,
+        touch=1.0 - touches,
+        switches=jnp.zeros_like(z, jnp.int32),
+    )
+    return motion, events, a.attractor
 
 
-def _position_levels(p: Params, x_h: Scalar, model: Model) -> tuple[Scalar, ...]:
-    levels = (x_h, x_h - p.x0, x_h + p.x0, x_h - p.xb, x_h + p.xb)
-    return levels if model.contact == "welded" else (*levels, p.gap)
+def _law_at(p: Params, a: Piece, z: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """s tau and its stiffness after the way z, and the work done."""
+
+    def bend() -> tuple[Scalar, Scalar, Scalar]:
+        b = (p.xb - p.x0) / p.S
+        sign, w = jnp.where(a.outwards, 1.0, -1.0), b * a.stiffness
+        w1 = w * jnp.exp(-sign * z / b)
+        return a.torque + sign * (w1 - w), w1 / b, (a.torque - sign * w) * z + b * (w - w1)
+
+    tau = a.torque - a.stiffness * z
+    affine = tau, a.stiffness, z * (0.5 * (a.torque + tau))
+    return where_rare(a.bends, bend, affine)
 
 
-def _first_between(levels: tuple[Scalar, ...], start: Scalar, end: Scalar) -> tuple[Scalar, Scalar]:
-    """The first of the levels strictly between start and end, and whether there is one."""
-    first = end
-    for level in levels:
-        first = jnp.where((level - start) * (first - level) > 0.0, level, first)
-    return first, (first < end) | (first > end)
+def _rates(
+    p: Params, a: Piece, h: Scalar, u: Scalar, net: Scalar, stiffness: Scalar
+) -> tuple[Scalar, Scalar]:
+    """First and second derivative of s tau_env, with h as unit of time."""
+    per_I = h * (1.0 / p.I)
+    change = per_I * net
+    rate = a.Kenv * h * u + a.Denv * change
+    return rate, a.Kenv * h * change - a.Denv * per_I * (h * stiffness * u + rate)
 
 
-@dataclass(frozen=True)
-class Interpolant:
-    """RK4's continuous extension of third order: the motion at a part of the step, a cubic."""
-
-    start: Motion
-    linear: Motion
-    square: Motion
-    cubic: Motion
-
-    @classmethod
-    def of(cls, start: Motion, k: Stages, size: Motion) -> "Interpolant":
-        """Hairer, Norsett, Wanner 1993, II.6: continuous extension of the classic method."""
-
-        def square(h: Scalar, a: Scalar, b: Scalar, c: Scalar, d: Scalar) -> Scalar:
-            return h * (b + c - 1.5 * a - 0.5 * d)
-
-        def cubic(h: Scalar, a: Scalar, b: Scalar, c: Scalar, d: Scalar) -> Scalar:
-            return (2.0 / 3.0) * h * (a - b - c + d)
-
-        linear = jax.tree.map(lambda h, a: h * a, size, k[0])
-        return cls(start, linear, jax.tree.map(square, size, *k), jax.tree.map(cubic, size, *k))
-
-    def at(self, part: Scalar) -> Motion:
-        """The motion at a part of the step."""
-
-        def value(y: Scalar, a: Scalar, b: Scalar, c: Scalar) -> Scalar:
-            return y + part * (a + part * (b + part * c))
-
-        return jax.tree.map(value, self.start, self.linear, self.square, self.cubic)
-
-    def part_at(self, name: str, rise: Scalar, rise_to: Scalar, until: Scalar) -> jax.Array:
-        """The part of the step, up to `until`, at which coordinate `name` has risen by `rise`.
-
-        At `until` it has risen by `rise_to`. Newton's method, bounded, from the parabola with the
-        first slope and both ends. Only the last correction is differentiated: that is the implicit
-        function theorem.
-        """
-        a, b, c = (getattr(k, name) for k in (self.linear, self.square, self.cubic))
-
-        def corrected(part: Scalar, a: Scalar, b: Scalar, c: Scalar, rise: Scalar) -> jax.Array:
-            slope = jax.lax.stop_gradient(a + part * (2.0 * b + part * 3.0 * c))
-            miss = part * (a + part * (b + part * c)) - rise
-            return part - _quotient(miss, slope)
-
-        fixed = jax.lax.stop_gradient((a, b, c, rise))
-        until = jax.lax.stop_gradient(until)
-        part = jax.lax.stop_gradient(_parabola(a, rise, rise_to, until))
-        if jnp.finfo(part.dtype).eps < 1e-10:  # double precision takes one correction more
-            part = jnp.clip(corrected(part, *fixed), 0.0, until)
-        return jnp.clip(corrected(jnp.clip(part, 0.0, until), a, b, c, rise), 0.0, until)
+def arrival(p: Params, a: Piece, path: Path, whole: Arrival, model: Model) -> Arrival:
+    """The first switch on the path of a piece, or its end."""
+    lowest, highest = _speeds(a, model)
+    falls = a.slope * whole.z > a.slack
+    limit = jnp.where(falls, a.slack / jnp.where(falls, a.slope, 1.0), jnp.inf)
+    to = jnp.minimum(jnp.minimum(a.ahead, limit), a.wall)
+    stops, rises = whole.u < lowest, whole.u > highest
+    by_speed, passes = stops | rises, whole.z > to
+    level = jnp.where(rises, highest, lowest) if model.divergence == "velocity_band" else 0.0
+    way = jnp.where(passes, to, 0.0)
+    rise = jnp.where(by_speed, level - a.u, way)
+    rise_to = jnp.where(by_speed, whole.u - a.u, whole.z)
+    part = root(path, by_speed, rise, rise_to, whole.part)
+    at = path.way(part)
+    # the way's switch comes before the speed's
+    early = by_speed & (at > to)
+    way = jnp.where(early, to, way)
+    none = jnp.zeros_like(early)
+    part = where_rare(early, lambda: root(path, none, way, at, part), part)
+    passes = early | (passes & ~by_speed)
+    by_speed = by_speed & ~early
+    switches = passes | by_speed
+    part = jnp.where(switches, part, whole.part)
+    u = jnp.where(passes, path.speed(part), whole.u)
+    if model.divergence == "velocity_band":
+        level = jnp.where(stops & (lowest > 0.0), INSIDE_BAND, level)
+    located = Arrival(
+        part=part,
+        z=jnp.where(passes, way, jnp.where(by_speed, path.way(part), whole.z)),
+        u=jnp.where(by_speed, level, u),
+        switches=switches,
+        at_wall=passes & (a.wall <= to),
+    )
+    to = jnp.minimum(a.ahead, a.wall)
+    return where_rare(fast(p, a, path.h), lambda: swept(p, a, path, to), located)
 
 
-def _parabola(a: Scalar, rise: Scalar, rise_to: Scalar, until: Scalar) -> jax.Array:
-    """The t where a t + q t^2 = `rise`, q such that it is `rise_to` at `until`; also if a = 0."""
+def root(path: Path, of_speed: Scalar, rise: Scalar, rise_to: Scalar, until: Scalar) -> Scalar:
+    """The part of the path at which speed or way has risen by `rise`; by `rise_to` at `until`.
+
+    Newton's method from the parabola with the first slope and both ends. Only the last correction
+    is differentiated: that is the implicit function theorem.
+    """
+    d, factorial, c = path.u, 1.0, []
+    for k in range(1, len(d)):  # coefficients of the rise
+        factorial /= k
+        c.append(factorial * jnp.where(of_speed, d[k], path.h * d[k - 1]))
+
+    def value(c: list[Scalar], t: Scalar) -> Scalar:
+        total = c[-1]
+        for term in c[-2::-1]:
+            total = term + t * total
+        return t * total
+
+    def slope(c: list[Scalar], t: Scalar) -> Scalar:
+        total = len(c) * c[-1]
+        for k in range(len(c) - 1, 0, -1):
+            total = k * c[k - 1] + t * total
+        return total
+
+    fixed, target, until = jax.lax.stop_gradient((c, rise, until))
+    t = _parabola(fixed[0], target, jax.lax.stop_gradient(rise_to), until)
+    for _ in range(1 if jnp.finfo(rise.dtype).bits == 32 else 3):
+        t = _within(t - _quotient(value(fixed, t) - target, slope(fixed, t)), until)
+    return _within(t - _quotient(value(c, t) - rise, slope(fixed, t)), until)
+
+
+def _parabola(a: Scalar, rise: Scalar, rise_to: Scalar, until: Scalar) -> Scalar:
+    """The t at which a t + q t^2 = `rise`, with q such that it is `rise_to` at `until`."""
     q = _quotient(rise_to - a * until, until**2)
     inside = a**2 + 4.0 * q * rise
     root = jnp.sqrt(jnp.where(inside > 0.0, inside, 0.0))
-    return _quotient(2.0 * rise, a + jnp.where(rise < 0.0, -root, root))
+    # what has to fall, but rises first, meets the level on its way back
+    back = (rise <= 0.0) & (a > 0.0)
+    signed = jnp.where(rise > 0.0, root, -root)
+    t = _quotient(jnp.where(back, a + root, 2.0 * rise), jnp.where(back, -2.0 * q, a + signed))
+    return _within(t, until)
 
 
-def _quotient(a: Scalar, b: Scalar) -> jax.Array:
+def _within(t: Scalar, until: Scalar) -> Scalar:
+    return jnp.where(t > 0.0, jnp.where(t < until, t, until), 0.0)
+
+
+def _quotient(a: Scalar, b: Scalar) -> Scalar:
     """a/b, 0 where |b| is below the smallest normal number."""
     tiny = jnp.abs(b) < jnp.finfo(b.dtype).tiny
     return jnp.where(tiny, 0.0, a / jnp.where(tiny, 1.0, b))

@@ -1,4 +1,4 @@
-"""Metrics, summed sample by sample: no trajectory is stored.
+"""Metrics of the motion, summed step by step: no trajectory is stored.
 
 T is the interaction torque tau_env, T_n = sgn(Td) min(|Td|, Fmax) the reachable torque, and
 eps = (T - Td)/T_n. The tail is the second half of the run. To add a metric: docs/architecture.md.
@@ -13,12 +13,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from fic_jax.environment import in_contact
+from fic_jax.environment import in_contact, interaction_torque
+from fic_jax.events import Events
 from fic_jax.lanes.hints import where_rare
-from fic_jax.params import Model, Params, Scalar, check_count
-from fic_jax.simulation import Sample, checked, init, sampled, with_slopes
+from fic_jax.params import Model, Params, Scalar
+from fic_jax.rk4 import Motion
+from fic_jax.simulation import Sample, checked, init, plant_step, with_slopes
 
 SETTLING_BAND = 0.05  # the torque has converged while |T/T_n - 1| is at most this
+SETTLED_PART = 0.05  # of the run, at least, that a torque which has converged stays in the band
 
 
 def _metric(unit: str, meaning: str) -> Any:
@@ -64,19 +67,20 @@ class Sum:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Accumulator:
-    """Running sums and extremes of one scenario. Times are counts of samples: exact in int32."""
+    """Running sums and extremes of one scenario. Instants and durations are in plant steps."""
 
-    square_head: Scalar  # sum of eps^2 over the first half, 0 before the second begins
-    square: Sum  # of eps^2, over the current half
-    error: Sum  # of eps, over the current half
-    outside: Scalar  # samples up to and including the last one outside the settling band
-    highest: Scalar  # N*m, largest T, at least 0
-    lowest: Scalar  # N*m, smallest T, at most 0; always 0 at a hard stop, which does not pull
-    before_touch: Scalar  # samples before the first one in contact
-    touched: Scalar  # samples in contact
-    switches: Scalar  # of the branch, so far
-    diverging: Scalar  # branch of the last sample
+    square_head: Scalar  # sum of `square` over the first half, 0 before the second begins
+    square: Sum  # of each step's mean of (T - Td)^2, (N*m)^2, over the current half
+    error: Sum  # of each step's mean of T - Td, N*m, over the current half
     work: Sum  # J
+    settled: Scalar  # instant from which T is in the settling band, inf while it is outside
+    T: Scalar  # N*m, of the last sample
+    highest: Scalar  # N*m, largest T
+    lowest: Scalar  # N*m, smallest T, at most 0; always 0 at a hard stop, which does not pull
+    touched: Scalar  # instant of the first touch, inf before
+    contact: Sum  # duration of contact
+    switches: Scalar  # of the branch, so far
+    diverging: Scalar  # branch at the end of the last step
 
 
 def reachable(p: Params) -> jax.Array:
@@ -84,16 +88,30 @@ def reachable(p: Params) -> jax.Array:
     return jnp.sign(p.Td) * jnp.minimum(jnp.abs(p.Td), p.Fmax)
 
 
-def empty(p: Params) -> Accumulator:
-    """The accumulator before the first sample."""
-    zero, none = jnp.zeros_like(p.Td), jnp.zeros_like(p.Td, jnp.int32)
-    yes = jnp.ones_like(p.Td, bool)
+def deviation(T: Scalar, p: Params) -> jax.Array:
+    """T/T_n - 1: the torque has converged while its size is at most SETTLING_BAND."""
+    return T * (1.0 / reachable(p)) - 1.0
+
+
+def empty(p: Params, model: Model) -> Accumulator:
+    """The accumulator of the initial state."""
+    zero, never = jnp.zeros_like(p.Td), jnp.full_like(p.Td, jnp.inf)
     sum_ = Sum(zero, zero)
-    return Accumulator(zero, sum_, sum_, none, zero, zero, none, none, none, yes, sum_)
-
-
-def _count(total: Scalar, event: Scalar) -> jax.Array:
-    return total + event.astype(jnp.int32)
+    T = interaction_torque(p.x_init, p.v_init, p, model)
+    return Accumulator(
+        square_head=zero,
+        square=sum_,
+        error=sum_,
+        work=sum_,
+        settled=jnp.where(jnp.abs(deviation(T, p)) <= SETTLING_BAND, zero, never),
+        T=T,
+        highest=jnp.maximum(T, zero),
+        lowest=jnp.minimum(T, zero),
+        touched=jnp.where(in_contact(p.x_init, p, model), zero, never),
+        contact=sum_,
+        switches=jnp.zeros_like(p.Td, jnp.int32),
+        diverging=jnp.ones_like(p.Td, bool),
+    )
 
 
 def begin_tail(acc: Accumulator) -> Accumulator:
@@ -103,55 +121,71 @@ def begin_tail(acc: Accumulator) -> Accumulator:
 
 
 def update(
-    acc: Accumulator, sample: Sample, k: Scalar, n_steps: int, p: Params, model: Model
+    acc: Accumulator,
+    sample: Sample,
+    motion: Motion,
+    events: Events,
+    k: Scalar,
+    tail: int,
+    p: Params,
+    model: Model,
 ) -> Accumulator:
-    """Add sample k (counted from 0) of `n_steps`."""
-    acc = where_rare(k == n_steps // 2, lambda: begin_tail(acc), acc)
-    per_T_n = 1.0 / reachable(p)
-    eps = (sample.tau_env - p.Td) * per_T_n
-    settled = jnp.abs(sample.tau_env * per_T_n - 1.0) <= SETTLING_BAND  # false for NaN
-    touching = in_contact(sample.x, p, model)
-    touched = _count(acc.touched, touching)
+    """Add plant step k (counted from 0); the second half begins with step `tail`."""
+    acc = where_rare(k == tail, lambda: begin_tail(acc), acc)
+    T, at = sample.tau_env, k.astype(acc.T.dtype)
+    far, last = deviation(T, p), acc.settled
+    inside = jnp.abs(far) <= SETTLING_BAND  # false for NaN
+
+    def entry() -> jax.Array:
+        """When T, between two samples on a line, enters the band."""
+        before = deviation(acc.T, p)
+        way = before - jnp.where(before > 0.0, SETTLING_BAND, -SETTLING_BAND)
+        return at + way / jnp.where(before == far, 1.0, before - far)
+
+    settled = where_rare(inside & (last == jnp.inf), entry, last)
+    touches = (acc.touched == jnp.inf) & (events.contact > 0.0)
     pulls = model.contact != "hard_stop"
+    changed = (events.began != acc.diverging) & (k > 0)
     return Accumulator(
         square_head=acc.square_head,
-        square=acc.square.plus(eps**2),
-        error=acc.error.plus(eps),
-        outside=jnp.where(settled, acc.outside, k + 1),
-        highest=jnp.maximum(acc.highest, sample.tau_env),
-        lowest=jnp.minimum(acc.lowest, sample.tau_env) if pulls else acc.lowest,
-        before_touch=jnp.where(touched > 0, acc.before_touch, k + 1),
-        touched=touched,
-        switches=_count(acc.switches, (sample.diverging != acc.diverging) & (k > 0)),
+        square=acc.square.plus(motion.square),
+        error=acc.error.plus(motion.error),
+        work=acc.work.plus(motion.work),
+        settled=jnp.where(inside, settled, jnp.inf),
+        T=T,
+        highest=jnp.maximum(acc.highest, events.highest),
+        lowest=jnp.minimum(acc.lowest, events.lowest) if pulls else acc.lowest,
+        touched=jnp.where(touches, at + events.touch, acc.touched),
+        contact=acc.contact.plus(events.contact),
+        switches=acc.switches + events.switches + changed.astype(jnp.int32),
         diverging=sample.diverging,
-        work=acc.work.plus(sample.work),
     )
 
 
 def finish(
-    acc: Accumulator, x: Scalar, v: Scalar, n_steps: int, p: Params, dt: jax.Array
+    acc: Accumulator, x: Scalar, v: Scalar, n_steps: int, tail: int, p: Params, h: jax.Array
 ) -> Metrics:
-    """Metrics from the sums. Sample k is at time (k + 1) dt; inf stands for "does not happen".
+    """Metrics from the sums over `n_steps` plant steps of h seconds; inf means "does not happen".
 
     `x` and `v` are the last sample's: once they are infinite or NaN they remain so.
     """
-
-    def seconds(samples: Scalar) -> jax.Array:
-        return samples.astype(dt.dtype) * dt
-
-    n_tail = n_steps - n_steps // 2
-    nmse = (acc.square_head + acc.square.total) / n_steps
+    n_tail = n_steps - tail
     T_n = reachable(p)
-    lost = n_steps - acc.before_touch - acc.touched
+    per_T_n = 1.0 / T_n
+    nmse = (acc.square_head + acc.square.total) / n_steps * per_T_n**2
+    touched = acc.touched < jnp.inf
+    lost = n_steps - jnp.where(touched, acc.touched, n_steps) - acc.contact.total
     return Metrics(
         nmse=nmse,
-        nmse_tail=acc.square.total / n_tail,
-        convergence_time=jnp.where(acc.outside < n_steps, seconds(acc.outside + 1), jnp.inf),
-        steady_error=acc.error.total / n_tail,
+        nmse_tail=acc.square.total / n_tail * per_T_n**2,
+        convergence_time=jnp.where(
+            acc.settled <= (1.0 - SETTLED_PART) * n_steps, acc.settled * h, jnp.inf
+        ),
+        steady_error=acc.error.total / n_tail * per_T_n,
         peak_torque=jnp.abs(jnp.maximum(acc.highest, -acc.lowest)),  # abs: the larger may be -0
-        overshoot=jnp.maximum(jnp.where(T_n < 0.0, acc.lowest, acc.highest) / T_n - 1.0, 0.0),
-        contact_time=jnp.where(acc.touched > 0, seconds(acc.before_touch + 1), jnp.inf),
-        contact_lost=seconds(lost),
+        overshoot=jnp.maximum(jnp.where(T_n < 0.0, acc.lowest, acc.highest) * per_T_n - 1.0, 0.0),
+        contact_time=acc.touched * h,
+        contact_lost=jnp.maximum(lost, 0.0) * h,
         mode_switches=acc.switches,
         energy_in=acc.work.total,
         finite=jnp.isfinite(x)
@@ -163,37 +197,35 @@ def finish(
 
 def blank(p: Params, dt: Scalar) -> Metrics:
     """Metrics without a run, for their types."""
-    return finish(empty(p), p.x_init, p.v_init, 2, p, dt)
+    return finish(empty(p, Model()), p.x_init, p.v_init, 2, 1, p, dt)
 
 
-def evaluate(
-    params: Params, *, model: Model = Model(), dt: Scalar, n_steps: int, substeps: int = 1
-) -> Metrics:
-    """Metrics of one scenario over `n_steps` samples, one every `dt` seconds; none is stored.
+def evaluate(params: Params, *, model: Model = Model(), dt: Scalar, n_steps: int) -> Metrics:
+    """Metrics of one scenario over `n_steps` plant steps of `dt` seconds; no sample is stored.
 
-    Takes Params with scalar leaves; returns Metrics with scalar leaves. A sample is the end of a
-    plant step of `dt` seconds, or of `substeps` plant steps of dt/substeps: then the integration is
-    finer and the samples are at the same times. vmap, grad and the caller's jit apply.
+    Takes Params with scalar leaves; returns Metrics with scalar leaves. vmap, grad and the caller's
+    jit apply. Take gradients with `rk4_events`: the derivative of an rk4 run is wrong where contact
+    is made or lost.
 
     Raises ParamsError if a value is out of bounds. Values under the caller's jit or vmap are not
     checked.
     """
-    check_count("substeps", substeps)
     p, dt = checked(params, dt, n_steps)
-    return compiled_evaluate(p, model, dt, n_steps, substeps)
+    return compiled_evaluate(p, model, dt, n_steps)
 
 
-@partial(jax.jit, static_argnames=("model", "n_steps", "substeps", "unroll"))
+@partial(jax.jit, static_argnames=("model", "n_steps", "finer", "unroll"))
 def compiled_evaluate(
-    p: Params, model: Model, dt: jax.Array, n_steps: int, substeps: int = 1, unroll: int = 1
+    p: Params, model: Model, dt: jax.Array, n_steps: int, finer: int = 1, unroll: int = 1
 ) -> Metrics:
-    """`evaluate` on canonical numbers; a compiled iteration takes `unroll` samples."""
+    """`evaluate` on canonical numbers, each step in `finer` parts; `unroll` steps an iteration."""
+    h, n, tail = dt / finer, finer * n_steps, finer * (n_steps // 2)
 
     def body(k: jax.Array, carry: Any) -> Any:
         state, acc = carry
-        state, sample = sampled(p, state, model, dt / substeps, substeps)
-        return state, update(acc, sample, k, n_steps, p, model)
+        state, sample, motion, events = plant_step(p, state, model, h)
+        return state, update(acc, sample, motion, events, k, tail, p, model)
 
-    start = (with_slopes(p, init(p, model)), empty(p))
-    state, acc = jax.lax.fori_loop(np.int32(0), np.int32(n_steps), body, start, unroll=unroll)
-    return finish(acc, state.x, state.v, n_steps, p, dt)
+    start = (with_slopes(p, init(p, model)), empty(p, model))
+    state, acc = jax.lax.fori_loop(np.int32(0), np.int32(n), body, start, unroll=unroll)
+    return finish(acc, state.x, state.v, n, tail, p, h)

@@ -7,7 +7,7 @@ from fic_jax.lanes.hints import where_rare
 from fic_jax.params import Params, Scalar
 
 
-def force(e: Scalar, p: Params, side: Scalar | None = None) -> jax.Array:
+def force(e: Scalar, p: Params) -> jax.Array:
     """Torque F_K of the nonlinear spring (N*m) at the error `e` (rad): eq. 1, odd in e.
 
         F_K = sgn(e) * { K0 |e|                                  |e| <= x0
@@ -17,10 +17,9 @@ def force(e: Scalar, p: Params, side: Scalar | None = None) -> jax.Array:
     with dF = Fmax - K0 x0 and b = (xb - x0)/S. At xb it jumps by dF exp(-S), 1e-8 N*m by default.
     If K0 x0 > Fmax, F_K exceeds Fmax between Fmax/K0 and xb; `controller.torque` limits it.
 
-    `e` is a scalar, or an array that broadcasts with the leaves of `p`. `side`, an error (rad),
-    chooses the piece instead of `e`. Checks no values.
+    `e` is a scalar, or an array that broadcasts with the leaves of `p`. Checks no values.
     """
-    size = jnp.abs(e if side is None else side)
+    size = jnp.abs(e)
     linear, saturated = size <= p.x0, size >= p.xb
     straight = jnp.where(linear, p.K0 * e, jnp.where(e < 0.0, -p.Fmax, p.Fmax))
     # not `x0 < size < xb`: a NaN is in no piece, and takes the bend, which returns NaN

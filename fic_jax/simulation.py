@@ -16,8 +16,8 @@ from fic_jax.controller import (
     peak_error_after,
     torque,
 )
-from fic_jax.environment import interaction_torque
-from fic_jax.events import advance_located
+from fic_jax.environment import in_contact, interaction_torque
+from fic_jax.events import Events, advance_located
 from fic_jax.exploration import expected_reference, explore
 from fic_jax.params import Model, Params, Scalar, canonical, check, check_scalars, strong
 from fic_jax.rk4 import Motion, advance
@@ -110,25 +110,52 @@ def decide(
     return _remembered(memory, x_h, countdown, attractor.e_M, e, attractor), attractor
 
 
-def _decide_and_advance_located(
-    p: Params, state: State, start: Motion, model: Model, dt: Scalar
-) -> tuple[Memory, Attractor, Motion]:
-    """`decide` and advance in one: each segment of a located step decides its own branch."""
-    memory = state.memory
-    x_h, countdown = explore(memory.x_h, memory.countdown, state.x, state.measured, p, model, dt)
-    motion, attractor = advance_located(
-        p, start, x_h, memory.e_M, memory.e_last, memory.slopes, model, dt
-    )
-    e = x_h - motion.x
-    e_M = peak_error_after(attractor, e)
-    return _remembered(memory, x_h, countdown, e_M, e, attractor), attractor, motion
-
-
 def _remembered(
     last: Memory, x_h: Scalar, countdown: Scalar, e_M: Scalar, e: Scalar, attractor: Attractor
 ) -> Memory:
     slopes = None if last.slopes is None else attractor.slopes
     return Memory(x_h, e_M, jnp.abs(e), countdown, slopes)
+
+
+def plant_step(
+    p: Params, state: State, model: Model, dt: Scalar
+) -> tuple[State, Sample, Motion, Events]:
+    """Explore, decide, advance, measure. `p` and `dt` are canonical (see `step`).
+
+    Also returns the integrals over the step and its events, for the metrics.
+    """
+    k, start = state.k + 1, Motion.at(state.x, state.v)
+    if model.integrator == "rk4":
+        memory, attractor = decide(p, state.memory, state.x, state.v, state.measured, model, dt)
+        motion = advance(p, start, memory.x_h, attractor, model, dt)
+        state, sample = _measure(p, k, memory, attractor, motion, model, dt)
+        return state, sample, motion, _at_its_end(p, attractor, sample, model)
+    memory, attractor, motion, events = _decide_and_advance_located(p, state, start, model, dt)
+    state, sample = _measure(p, k, memory, attractor, motion, model, dt)
+    return state, sample, motion, events
+
+
+def _decide_and_advance_located(
+    p: Params, state: State, start: Motion, model: Model, dt: Scalar
+) -> tuple[Memory, Attractor, Motion, Events]:
+    """`decide` and advance in one: each piece of a located step decides its own branch."""
+    last = state.memory
+    x_h, countdown = explore(last.x_h, last.countdown, state.x, state.measured, p, model, dt)
+    e, e_M = x_h - state.x, last.e_M
+    if model.divergence == "error_rate":  # by the tick; within a step the sign of e v decides
+        e_M = jnp.where(diverges(e, state.v, last.e_last, model), e, e_M)
+    motion, events, attractor = advance_located(p, start, x_h, e_M, last.slopes, model, dt)
+    e = x_h - motion.x
+    e_M = peak_error_after(attractor, e)
+    return _remembered(last, x_h, countdown, e_M, e, attractor), attractor, motion, events
+
+
+def _at_its_end(p: Params, attractor: Attractor, sample: Sample, model: Model) -> Events:
+    """The events of a step that is seen at its end only."""
+    touches = in_contact(sample.x, p, model).astype(sample.x.dtype)
+    none = jnp.zeros_like(touches, jnp.int32)
+    T, whole = sample.tau_env, jnp.ones_like(touches)
+    return Events(attractor.diverging, T, T, contact=touches, touch=whole, switches=none)
 
 
 def _measure(
@@ -151,36 +178,10 @@ def _measure(
     return State(k, x, v, measured, memory), sample
 
 
-def plant_step(p: Params, state: State, model: Model, dt: Scalar) -> tuple[State, Sample]:
-    """Explore, decide, advance, measure. `p` and `dt` are canonical (see `step`)."""
-    start = Motion(state.x, state.v, jnp.zeros_like(state.x))
-    if model.integrator == "rk4":
-        memory, attractor = decide(p, state.memory, state.x, state.v, state.measured, model, dt)
-        motion = advance(p, start, memory.x_h, attractor, model, dt)
-    else:
-        memory, attractor, motion = _decide_and_advance_located(p, state, start, model, dt)
-    return _measure(p, state.k + 1, memory, attractor, motion, model, dt)
-
-
-def sampled(
-    p: Params, state: State, model: Model, h: Scalar, substeps: int
-) -> tuple[State, Sample]:
-    """`substeps` plant steps of `h` seconds: the last one's sample, with the work of all."""
-
-    def one(state: State) -> tuple[State, Sample]:
-        return plant_step(p, state, model, h)
-
-    if substeps == 1:
-        return one(state)
-
-    def body(_: jax.Array, carry: tuple[State, Sample]) -> tuple[State, Sample]:
-        state, sample = one(carry[0])
-        return state, replace(sample, work=carry[1].work + sample.work)
-
-    return jax.lax.fori_loop(1, substeps, body, one(state))
-
-
-compiled_step = jax.jit(plant_step, static_argnames="model")
+@partial(jax.jit, static_argnames="model")
+def compiled_step(p: Params, state: State, model: Model, dt: Scalar) -> tuple[State, Sample]:
+    """`step` on canonical numbers."""
+    return plant_step(p, state, model, dt)[:2]
 
 
 def canonical_with(params: Params, dt: Scalar) -> tuple[Params, Scalar]:
@@ -260,6 +261,6 @@ def compiled_rollout(p: Params, model: Model, dt: Scalar, n_steps: int) -> Sampl
     """`rollout` on canonical numbers."""
     start = with_slopes(p, init(p, model))
     _, samples = jax.lax.scan(
-        lambda state, _: plant_step(p, state, model, dt), start, length=n_steps
+        lambda state, _: plant_step(p, state, model, dt)[:2], start, length=n_steps
     )
     return samples

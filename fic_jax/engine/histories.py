@@ -10,7 +10,7 @@ import numpy as np
 
 from fic_jax.engine.sweeping import length
 from fic_jax.params import QUANTITIES, Model, Params, ParamsError, check, check_count
-from fic_jax.simulation import SIGNALS, Sample, init, sampled, with_slopes
+from fic_jax.simulation import SIGNALS, Sample, State, init, plant_step, with_slopes
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -77,7 +77,7 @@ def _sampled(params: Params, model: Model, dt: jax.Array, n_samples: int, every:
 
     def one(p: Params) -> Sample:
         def sample(state: Any, _: None) -> Any:
-            return sampled(p, state, model, dt, every)
+            return _after(p, state, model, dt, every)
 
         def some(state: Any, _: None) -> Any:
             return jax.lax.scan(sample, state, length=inner)
@@ -86,3 +86,19 @@ def _sampled(params: Params, model: Model, dt: jax.Array, n_samples: int, every:
         return jax.tree.map(lambda leaf: leaf.reshape(-1)[:n_samples], samples)
 
     return jax.vmap(one)(params)
+
+
+def _after(
+    p: Params, state: State, model: Model, dt: jax.Array, steps: int
+) -> tuple[State, Sample]:
+    """The state after some plant steps, and the last one's sample, with the work of all."""
+
+    def body(_: jax.Array, carry: tuple[State, Sample]) -> tuple[State, Sample]:
+        state, sample, *_ = plant_step(p, carry[0], model, dt)
+        return state, dataclasses.replace(sample, work=carry[1].work + sample.work)
+
+    first = plant_step(p, state, model, dt)[:2]
+    if steps == 1:
+        return first
+    after: tuple[State, Sample] = jax.lax.fori_loop(1, steps, body, first)
+    return after
