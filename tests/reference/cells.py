@@ -8,7 +8,6 @@ at a located event cannot pick the wrong side.
 """
 
 from bisect import bisect_right
-from collections.abc import Callable
 from dataclasses import dataclass
 from math import copysign, exp, inf
 
@@ -32,6 +31,82 @@ class State:
 
 
 @dataclass(frozen=True)
+class Spring:
+    """A spring, stiffness in N·m/rad, that is at rest at x = rest (rad)."""
+
+    stiffness: float
+    rest: float
+
+    def __call__(self, x: float) -> float:
+        """Torque in N·m."""
+        return self.stiffness * (self.rest - x)
+
+    def work(self, start: float, end: float) -> float:
+        """∫ torque dx from start to end, in J."""
+        return self.stiffness * (self.rest - 0.5 * (start + end)) * (end - start)
+
+
+@dataclass(frozen=True)
+class Bend:
+    """The exponential part of eq. 1 on the side where e has the given sign."""
+
+    x_h: float
+    sign: float
+    x0: float
+    b: float
+    p: Params
+
+    @property
+    def dF(self) -> float:
+        """ΔF = Fmax - K0 x0 in N·m."""
+        return self.p["Fmax"] - self.p["K0"] * self.x0
+
+    def missing(self, x: float) -> float:
+        """The share of ΔF that the torque still lacks: exp(-(|e| - x0) / b)."""
+        return exp(-(self.sign * (self.x_h - x) - self.x0) / self.b)
+
+    def __call__(self, x: float) -> float:
+        """Torque in N·m."""
+        return self.sign * (self.dF * (1.0 - self.missing(x)) + self.p["K0"] * self.x0)
+
+    def work(self, start: float, end: float) -> float:
+        """∫ torque dx from start to end, in J."""
+        left = self.missing(end) - self.missing(start)
+        return self.sign * self.p["Fmax"] * (end - start) - self.dF * self.b * left
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A constant torque in N·m."""
+
+    value: float
+
+    def __call__(self, x: float) -> float:
+        """Torque in N·m."""
+        return self.value
+
+    def work(self, start: float, end: float) -> float:
+        """∫ torque dx from start to end, in J."""
+        return self.value * (end - start)
+
+
+Piece = Spring | Bend | Constant
+
+
+@dataclass(frozen=True)
+class Reaction:
+    """The environment Kenv (x - gap) + Denv v in N·m; both 0 out of contact."""
+
+    Kenv: float
+    Denv: float
+    gap: float
+
+    def __call__(self, x: float, v: float) -> float:
+        """Torque in N·m."""
+        return self.Kenv * (x - self.gap) + self.Denv * v
+
+
+@dataclass(frozen=True)
 class Cell:
     """A box v_low..v_high, x up to x_next, with the one smooth law that holds inside it."""
 
@@ -41,8 +116,8 @@ class Cell:
     x_next: float
     diverging: bool
     contact: bool
-    torque: Callable[[float], float]
-    reaction: Callable[[float, float], float]
+    torque: Piece
+    reaction: Reaction
     inertia: float
 
     def acceleration(self, x: float, v: float) -> float:
@@ -108,48 +183,27 @@ def next_line(s: State, heading: float, diverging: bool, p: Params) -> float:
     return max((x for x in lines if x < s.x), default=-inf)
 
 
-def torque_piece(
-    e: float, s: State, diverging: bool, p: Params, law: str
-) -> Callable[[float], float]:
+def torque_piece(e: float, s: State, diverging: bool, p: Params, law: str) -> Piece:
     """Algorithm 1 as a smooth function of x (N·m): the branch that holds at the error e."""
     x_h = s.x_h
+    piece: Piece
     if not diverging:
-        piece = line_piece(slope(e, s.e_M, p, law), x_h - 0.5 * s.e_M)
+        piece = Spring(slope(e, s.e_M, p, law), x_h - 0.5 * s.e_M)
     elif abs(e) < p["x0"]:
-        piece = line_piece(p["K0"], x_h)
+        piece = Spring(p["K0"], x_h)
     elif abs(e) < p["xb"]:
-        piece = curve_piece(x_h, copysign(1.0, e), p)
+        piece = Bend(x_h, copysign(1.0, e), p["x0"], (p["xb"] - p["x0"]) / p["S"], p)
     else:
-        piece = level_piece(force(e, p))
+        piece = Constant(force(e, p))
     if abs(piece(x_h - e)) > p["Fmax"]:
-        return level_piece(copysign(p["Fmax"], piece(x_h - e)))
+        return Constant(copysign(p["Fmax"], piece(x_h - e)))
     return piece
 
 
-def line_piece(stiffness: float, rest: float) -> Callable[[float], float]:
-    """A spring, stiffness in N·m/rad, that is at rest at x = rest."""
-    return lambda x: stiffness * (rest - x)
-
-
-def curve_piece(x_h: float, sign: float, p: Params) -> Callable[[float], float]:
-    """The exponential part of eq. 1 on the side where e has the given sign."""
-    x0, b, K0x0 = p["x0"], (p["xb"] - p["x0"]) / p["S"], p["K0"] * p["x0"]
-    dF = p["Fmax"] - K0x0
-    return lambda x: sign * (dF * (1.0 - exp(-(sign * (x_h - x) - x0) / b)) + K0x0)
-
-
-def level_piece(value: float) -> Callable[[float], float]:
-    """A constant torque in N·m."""
-    return lambda x: value
-
-
-def reaction_piece(
-    contact: bool, heading: float, p: Params, kind: str
-) -> Callable[[float, float], float]:
+def reaction_piece(contact: bool, heading: float, p: Params, kind: str) -> Reaction:
     """The environment's τ_env(x, v) in N·m as a smooth function; v keeps the heading's sign."""
     if not contact:
-        return lambda x, v: 0.0
-    Kenv, gap = p["Kenv"], p["gap"]
+        return Reaction(0.0, 0.0, p["gap"])
     # The hard stop rebounds undamped: Denv max(v, 0) is 0 throughout a box with v < 0.
     Denv = 0.0 if kind == "hard_stop" and heading < 0.0 else p["Denv"]
-    return lambda x, v: Kenv * (x - gap) + Denv * v
+    return Reaction(p["Kenv"], Denv, p["gap"])

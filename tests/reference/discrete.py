@@ -4,60 +4,58 @@ Order inside a step: Algorithm 2 if it ticks, mode and e_M, RK4 with both held, 
 Sample k is taken at the end of step k, at time (k+1) dt.
 """
 
-from math import copysign, inf
+from math import inf
 
 import numpy as np
 
 from .laws import (
-    STILL,
+    BAND,
+    LEAST_STAY,
     Choices,
     Params,
+    diverges,
     environment,
     explore,
     first_measurement,
     in_contact,
+    reachable,
     start_reference,
     torque,
 )
 
-FIELDS = ("t", "x", "v", "x_h", "e", "e_M", "diverging", "torque", "tau_env", "work")
+FIELDS = ("t", "x", "v", "x_h", "e", "e_M", "diverging", "torque", "tau_env")
+INTEGRALS = ("work", "eps", "square")
 
 
 def simulate(p: Params, choices: Choices, dt: float, n_steps: int) -> dict[str, np.ndarray]:
-    """The trajectory as one array of n_steps samples per name in FIELDS.
+    """The trajectory as one array of n_steps samples per name in FIELDS and INTEGRALS.
 
-    `work` is the energy in J that the torque delivers within the step; `diverging` is the mode
-    that was held during the step (bool); the rest is in rad, rad/s, N·m and s.
+    `diverging` is the mode that was held during the step (bool); the other FIELDS are in rad,
+    rad/s, N·m and s. The INTEGRALS are over the step: `work` of the torque in J, `eps` and
+    `square` of ε = (τ_env - Td)/T_n and of ε² in s.
     """
     law, contact, feedback = choices["law"], choices["contact"], choices["feedback"]
+    expectation = choices.get("expectation", "displacement")
     ticks_every = round(p["period"] / dt)
     x, v = p["x_init"], p["v_init"]
-    x_h, e_M, e_last = start_reference(p), 0.0, 0.0
+    x_h, e_last = start_reference(p), 0.0
+    e_M = x_h - x
     F = first_measurement(p, choices)
     samples = []
     for k in range(n_steps):
         if k % ticks_every == 0:
-            x_h = explore(x, x_h, F, p)
+            x_h = explore(x, x_h, F, p, expectation)
         e = x_h - x
         diverging = diverges(e, v, e_last, choices["divergence"])
         e_M = peak(e, e_M, diverging, choices["peak"])
         e_last = e
-        x, v, work = rk4(x, v, x_h, e_M, diverging, p, choices, dt)
+        x, v, *integrals = rk4(x, v, x_h, e_M, diverging, p, choices, dt)
         T = torque(x_h - x, e_M, diverging, p, law)
         tau = environment(x, v, p, contact)
         F = T if feedback == "motor" else tau
-        samples.append(((k + 1) * dt, x, v, x_h, x_h - x, e_M, diverging, T, tau, work))
-    columns = zip(*samples, strict=True)
-    return {name: np.array(column) for name, column in zip(FIELDS, columns, strict=True)}
-
-
-def diverges(e: float, v: float, e_last: float, divergence: str) -> bool:
-    """Whether the motion leaves x_h; e_last is the error at the step before (0 at the start)."""
-    if divergence == "error_rate":
-        return abs(e) > abs(e_last)
-    if divergence == "velocity_band" and abs(v) < STILL:
-        return True
-    return e * v <= 0.0
+        samples.append(((k + 1) * dt, x, v, x_h, x_h - x, e_M, diverging, T, tau, *integrals))
+    names, columns = FIELDS + INTEGRALS, zip(*samples, strict=True)
+    return {name: np.array(column) for name, column in zip(names, columns, strict=True)}
 
 
 def peak(e: float, e_M: float, diverging: bool, rule: str) -> float:
@@ -78,53 +76,71 @@ def rk4(
     p: Params,
     choices: Choices,
     dt: float,
-) -> tuple[float, float, float]:
-    """One classic Runge-Kutta step of I ẍ = torque - τ_env: x, v and the work ∫ torque v dt."""
+) -> tuple[float, ...]:
+    """One classic Runge-Kutta step of I ẍ = torque - τ_env and of three integrals from 0.
 
-    def rates(x: float, v: float) -> tuple[float, float, float]:
+    Returns x (rad), v (rad/s), ∫ torque v dt (J), ∫ ε dt and ∫ ε² dt (s).
+    """
+    T_n = reachable(p)
+
+    def rates(x: float, v: float) -> tuple[float, ...]:
         T = torque(x_h - x, e_M, diverging, p, choices["law"])
-        return v, (T - environment(x, v, p, choices["contact"])) / p["I"], T * v
+        tau = environment(x, v, p, choices["contact"])
+        eps = (tau - p["Td"]) / T_n
+        return v, (T - tau) / p["I"], T * v, eps, eps * eps
 
-    x1, v1, w1 = rates(x, v)
-    x2, v2, w2 = rates(x + 0.5 * dt * x1, v + 0.5 * dt * v1)
-    x3, v3, w3 = rates(x + 0.5 * dt * x2, v + 0.5 * dt * v2)
-    x4, v4, w4 = rates(x + dt * x3, v + dt * v3)
-    return (
-        x + dt / 6.0 * (x1 + 2.0 * x2 + 2.0 * x3 + x4),
-        v + dt / 6.0 * (v1 + 2.0 * v2 + 2.0 * v3 + v4),
-        dt / 6.0 * (w1 + 2.0 * w2 + 2.0 * w3 + w4),
-    )
+    k1 = rates(x, v)
+    k2 = rates(x + 0.5 * dt * k1[0], v + 0.5 * dt * k1[1])
+    k3 = rates(x + 0.5 * dt * k2[0], v + 0.5 * dt * k2[1])
+    k4 = rates(x + dt * k3[0], v + dt * k3[1])
+    stages = zip(k1, k2, k3, k4, strict=True)
+    dx, dv, *integrals = (dt / 6.0 * (a + 2.0 * b + 2.0 * c + d) for a, b, c, d in stages)
+    return x + dx, v + dv, *integrals
 
 
 def metrics(
     traj: dict[str, np.ndarray], p: Params, choices: Choices, dt: float
 ) -> dict[str, float]:
-    """The metrics of model.md from a stored trajectory; times in s, torques in N·m, energy in J."""
-    T, Td = traj["tau_env"], p["Td"]
-    T_n = copysign(min(abs(Td), p["Fmax"]), Td)
-    eps = (T - Td) / T_n
-    tail = eps[len(T) // 2 :]
-    touch = np.array([in_contact(x, p, choices["contact"]) for x in traj["x"]])
+    """The metrics of model.md from a stored trajectory; times in s, torques in N·m, energy in J.
+
+    The initial state is a sample too, at time 0; it is taken from the parameters.
+    """
+    contact, n_steps = choices["contact"], len(traj["t"])
+    tail = slice(n_steps // 2, None)
+    tail_length = dt * (n_steps - n_steps // 2)
+    relative = np.array([environment(p["x_init"], p["v_init"], p, contact), *traj["tau_env"]])
+    relative = relative / reachable(p)
+    touch = np.array([in_contact(x, p, contact) for x in (p["x_init"], *traj["x"])])
+    first = int(np.argmax(touch))
     finite = np.all(np.isfinite(traj["x"])) and np.all(np.isfinite(traj["v"]))
     return {
-        "nmse": float(np.mean(eps**2)),
-        "nmse_tail": float(np.mean(tail**2)),
-        "convergence_time": settled_from(np.abs(T - T_n) / abs(T_n) <= 0.05, dt),
-        "steady_error": float(np.mean(tail)),
-        "peak_torque": float(np.max(np.abs(T))),
-        "overshoot": max(float(np.max(T / T_n)) - 1.0, 0.0),
-        "contact_time": (int(np.argmax(touch)) + 1) * dt if touch.any() else inf,
-        "contact_lost": dt * int(np.sum(~touch[np.argmax(touch) :])) if touch.any() else 0.0,
+        "nmse": float(np.sum(traj["square"])) / (n_steps * dt),
+        "nmse_tail": float(np.sum(traj["square"][tail])) / tail_length,
+        "convergence_time": settled_from(relative, dt),
+        "steady_error": float(np.sum(traj["eps"][tail])) / tail_length,
+        "peak_torque": float(np.max(np.abs(relative))) * abs(reachable(p)),
+        "overshoot": max(float(np.max(relative)) - 1.0, 0.0),
+        "contact_time": first * dt if touch.any() else inf,
+        "contact_lost": dt * int(np.sum(~touch[first:])) if touch.any() else 0.0,
         "mode_switches": float(np.sum(traj["diverging"][1:] != traj["diverging"][:-1])),
         "energy_in": float(np.sum(traj["work"])),
         "finite": float(finite),
     }
 
 
-def settled_from(inside: np.ndarray, dt: float) -> float:
-    """Time in s of the first sample from which `inside` holds to the end; inf if never."""
-    if not inside[-1]:
+def settled_from(relative: np.ndarray, dt: float) -> float:
+    """The instant in s from which |T/T_n - 1| <= 0.05 until the end, between samples k dt.
+
+    The crossing of the band's edge is interpolated linearly; inf unless at least 5 % of the run
+    are left.
+    """
+    outside = np.flatnonzero(~(np.abs(relative - 1.0) <= BAND))
+    if outside.size == 0:
+        return 0.0
+    last, t_end = int(outside[-1]), dt * (len(relative) - 1)
+    if last == len(relative) - 1:
         return inf
-    outside = np.flatnonzero(~inside)
-    first = int(outside[-1]) + 1 if outside.size else 0
-    return (first + 1) * dt
+    before, after = float(relative[last]), float(relative[last + 1])
+    edge = 1.0 - BAND if before < 1.0 else 1.0 + BAND
+    instant = dt * (last + (edge - before) / (after - before))
+    return instant if t_end - instant >= LEAST_STAY * t_end else inf

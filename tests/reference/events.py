@@ -20,22 +20,26 @@ decided by the signs of e and v and no longer once a step. The variants in this 
   sets e_M <- e once; from the next step on the sign of e v decides again, so a converging
   motion keeps that e_M. If |e| jumped down, one step converges, which has no weight in the limit.
 * At t = 0 the same holds with |e| = 0 before: `error_rate` sets e_M <- e(0) even if the motion
-  starts converging, whereas `velocity` with `latched` then keeps e_M = 0 (slope 2 K0).
+  starts converging, whereas `velocity` with `latched` keeps e_M = x_h - x_init from before the
+  first tick.
 * `running`: while converging |e| falls, and e_M, once set, has the sign of e and a larger size; so
   its two conditions can become true at a tick (or at t = 0) only, once.
+* A branch that the rule names for one instant only is a branch too: the start at rest, the stop of
+  a converging motion, a jump of |e| with `error_rate`. The discretisation spends a step in it,
+  and `Observer.pass_through` hears of it.
 * Motor feedback at a tick is the torque just before it, interaction feedback τ_env at that time.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from scipy.integrate import solve_ivp  # type: ignore[import-untyped,unused-ignore]
 
 from .cells import Cell, State, cell_at, levels
-from .laws import Choices, Params, explore, first_measurement, start_reference
+from .laws import Choices, Params, diverges, explore, first_measurement, start_reference
 from .record import SAME_TIME, Record
 
 RTOL, ATOL = 1e-10, 1e-12
@@ -46,6 +50,9 @@ LONGEST_STEP = 0.01
 that v cannot leave a line v = 0 and come back to it unseen within one step."""
 SLIGHT = 1e-6
 """Acceleration in rad/s² that counts as none at the edge of the band."""
+REST = 1e-11
+"""Acceleration in rad/s² that counts as none at v = 0. A swing from rest ends with v = 0 at e = 0,
+where nothing pushes; rounding leaves up to 1e-12 of either sign there."""
 SHORTEST_STEP = 1e-8
 """A motion that is back on its line v = const within this time (s) has not left it."""
 
@@ -65,6 +72,30 @@ class Line:
         return float(y[self.index]) - self.value
 
 
+class Observer(Protocol):
+    """What is told about the motion while it goes on; times in s."""
+
+    def enter(self, t: float, cell: Cell) -> None:
+        """At time t the motion goes on in this cell."""
+
+    def pass_through(self, diverging: bool) -> None:
+        """The branch for one instant, before the cell of the next `enter`."""
+
+    def latch(self, t: float) -> None:
+        """A converging motion stopped and e_M was set again."""
+
+    def jump(self, e_before: float, before: Cell, s: State) -> None:
+        """A tick changed |e| under `error_rate`."""
+
+    def rest(self, s: State, cell: Cell, t_stop: float) -> None:
+        """Nothing moves until t_stop."""
+
+
+R = TypeVar("R", bound=Observer)
+Cross = Callable[[State, Cell, float, R], tuple[State, str | None]]
+"""Moves a state through its cell until t_stop or the line it leaves by ("x" or "v")."""
+
+
 class Irregular(Exception):  # noqa: N818 - a property of the scenario, no mistake of anybody
     """The limit dt -> 0 is not defined here: chattering, sliding or accumulating events."""
 
@@ -80,29 +111,42 @@ def simulate(
     converging motion stopped and e_M was set again. `margins` in s: see `Record.jump`; a
     discretisation with `error_rate` follows this solution only for dt well below all of them.
     """
-    period = p["period"]
-    n_ticks = int(np.ceil(t_end / period - SAME_TIME))
-    stops = [min((k + 1) * period, t_end) for k in range(n_ticks)]
-    record = Record(stops if t_eval is None else t_eval)
-    s = State(0.0, p["x_init"], p["v_init"], start_reference(p), 0.0)
+    record = Record(periods(p, t_end) if t_eval is None else t_eval)
+    run(p, choices, t_end, record, cross)
+    return record.result()
+
+
+def run(p: Params, choices: Choices, t_end: float, observer: R, cross: Cross[R]) -> None:
+    """The motion from 0 to t_end: Algorithm 2 at every k period, `cross` in every cell."""
+    x_h = start_reference(p)
+    s = State(0.0, p["x_init"], p["v_init"], x_h, x_h - p["x_init"])
     F, cell = first_measurement(p, choices), None
-    for stop in stops:
+    for stop in periods(p, t_end):
         e_before, before = s.e, cell
         s, cell = tick(s, cell, F, p, choices)
-        if choices["divergence"] == "error_rate" and before is not None:
-            record.jump(e_before, before, s)
-        s, cell = travel(s, cell, stop, p, choices, record)
+        if before is None:
+            observer.pass_through(diverges(s.e, s.v, 0.0, choices["divergence"]))
+        elif choices["divergence"] == "error_rate" and abs(s.e) != abs(e_before):
+            observer.jump(e_before, before, s)
+            observer.pass_through(abs(s.e) > abs(e_before))
+        s, cell = travel(s, cell, stop, p, choices, observer, cross)
         F = cell.torque(s.x) if choices["feedback"] == "motor" else cell.reaction(s.x, s.v)
-    return record.result()
+
+
+def periods(p: Params, t_end: float) -> list[float]:
+    """The ends of all control periods in s; the last one is t_end."""
+    n_ticks = int(np.ceil(t_end / p["period"] - SAME_TIME))
+    return [min((k + 1) * p["period"], t_end) for k in range(n_ticks)]
 
 
 def tick(
     s: State, before: Cell | None, F: float, p: Params, choices: Choices
 ) -> tuple[State, Cell]:
     """Algorithm 2; the jump of x_h may change mode and e_M (see the top of this file)."""
+    expectation = choices.get("expectation", "displacement")
     e_before = s.e if before is not None else 0.0
     e_M = e_before if before is not None and before.diverging else s.e_M
-    s = State(s.t, s.x, s.v, explore(s.x, s.x_h, F, p), e_M)
+    s = State(s.t, s.x, s.v, explore(s.x, s.x_h, F, p, expectation), e_M)
     if s.v in levels(choices):
         return settle(s, p, choices)
     if choices["divergence"] == "error_rate" and abs(s.e) > abs(e_before):
@@ -130,32 +174,40 @@ def settle(s: State, p: Params, choices: Choices) -> tuple[State, Cell]:
     if s.v != 0.0 and all(abs(cell.acceleration(s.x, s.v)) < SLIGHT for _, cell in sides):
         s.v *= 1.0 - ATOL
         return s, cell_at(s, 0, p, choices)
+    at_rest = [s.v == 0.0 and abs(cell.acceleration(s.x, 0.0)) <= REST for _, cell in sides]
+    if all(at_rest):
+        return s, sides[0][1]
     for side, cell in sides:
         if side * cell.acceleration(s.x, s.v) > 0.0:
             return s, cell
-    first = sides[0][1]
-    if s.v == 0.0 and first.acceleration(s.x, 0.0) == 0.0:
-        return s, first
+    if at_rest[0]:
+        return s, sides[0][1]
     raise Irregular(f"sliding along v = {s.v:g} at t = {s.t:.6g}")
 
 
 def travel(
-    s: State, cell: Cell, t_stop: float, p: Params, choices: Choices, record: Record
+    s: State,
+    cell: Cell,
+    t_stop: float,
+    p: Params,
+    choices: Choices,
+    observer: R,
+    cross: Cross[R],
 ) -> tuple[State, Cell]:
     """From event to event until t_stop; returns the state there and the cell it is in."""
     for _ in range(MOST_EVENTS):
-        record.enter(s.t, cell)
+        observer.enter(s.t, cell)
         # Nothing more moves: the last event came at t_stop itself, or the motion rests.
-        if s.t >= t_stop or (s.v == 0.0 and cell.acceleration(s.x, 0.0) == 0.0):
-            for _time in record.due(t_stop):
-                record.sample(s.x, s.v, s, cell)
+        if s.t >= t_stop or (s.v == 0.0 and abs(cell.acceleration(s.x, 0.0)) <= REST):
+            observer.rest(s, cell, t_stop)
             return State(t_stop, s.x, s.v, s.x_h, s.e_M), cell
-        s, hit = cross(s, cell, t_stop, record)
+        s, hit = cross(s, cell, t_stop, observer)
         if hit is None:
             return s, cell
         if hit == "v":
             if not cell.diverging:
-                record.latches.append(s.t)
+                observer.latch(s.t)
+            observer.pass_through(True)
             s, cell = settle(s, p, choices)
         else:
             if cell.diverging:

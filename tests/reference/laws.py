@@ -1,7 +1,8 @@
 """The laws of model.md for one scenario, in plain Python floats with ordinary branches.
 
 Units are SI: torque in N·m, angle in rad, energy in J. Parameters and choices carry the names of
-model.md. Nothing here is shared with `fic_jax`; that is the point of this package.
+model.md; choices without `expectation` mean `displacement`. Nothing here is shared with
+`fic_jax`; that is the point of this package.
 """
 
 from math import copysign, exp
@@ -11,6 +12,11 @@ Choices = dict[str, str]
 
 STILL = 0.01
 """|v| below which `velocity_band` counts the motion as stopped, in rad/s (model.md)."""
+
+BAND = 0.05
+"""A torque that stays this close to T_n, in parts of T_n, has converged (model.md)."""
+LEAST_STAY = 0.05
+"""It has to stay for at least this part of the run to count as converged (model.md)."""
 
 
 def force(e: float, p: Params) -> float:
@@ -37,6 +43,15 @@ def energy(e: float, p: Params) -> float:
         return 0.5 * K0 * e * e
     spent = 1.0 - exp(-(min(abs(e), xb) - x0) / b)
     return Fmax * (abs(e) - x0) + 0.5 * K0 * x0 * x0 - b * dF * spent
+
+
+def diverges(e: float, v: float, e_last: float, divergence: str) -> bool:
+    """Whether the motion leaves x_h; e_last is the error at the step before (0 at the start)."""
+    if divergence == "error_rate":
+        return abs(e) > abs(e_last)
+    if divergence == "velocity_band" and abs(v) < STILL:
+        return True
+    return e * v <= 0.0
 
 
 def slope(e: float, e_M: float, p: Params, law: str) -> float:
@@ -83,12 +98,18 @@ def start_reference(p: Params) -> float:
     return p["xd"] + p["Td"] / p["K0"]
 
 
-def explore(x: float, x_h: float, F: float, p: Params) -> float:
+def reachable(p: Params) -> float:
+    """T_n = sgn(Td) min(|Td|, Fmax) in N·m: the part of Td that the motor can give."""
+    return copysign(min(abs(p["Td"]), p["Fmax"]), p["Td"])
+
+
+def explore(x: float, x_h: float, F: float, p: Params, expectation: str = "displacement") -> float:
     """The next reference x_h in rad, Algorithm 2; F is the measured torque in N·m."""
     Td, K0 = p["Td"], p["K0"]
     if Td == F:
         return x_h
-    if abs(x) <= abs(p["xd"]):
+    travelled = abs(p["xd"] - x) if expectation == "error" else abs(x)
+    if travelled <= abs(p["xd"]):
         return start_reference(p)
     return x_h + (Td - F) / Td * p["sigma"] * Td / K0
 

@@ -55,6 +55,18 @@ class Record:
         if not before.diverging and grown > 0.0:
             self.margins.append(grown / abs(s.v))
 
+    def latch(self, t: float) -> None:
+        """Record where a converging motion stopped."""
+        self.latches.append(t)
+
+    def pass_through(self, diverging: bool) -> None:
+        """`switches` are the lasting changes of mode: a branch of one instant is none."""
+
+    def rest(self, s: State, cell: Cell, t_stop: float) -> None:
+        """Sample the constant state at the times due."""
+        for _time in self.due(t_stop):
+            self.sample(s.x, s.v, s, cell)
+
     def result(self) -> dict[str, np.ndarray]:
         """The arrays that `simulate` returns."""
         names = ("x", "v", "x_h", "e", "e_M", "diverging", "torque", "tau_env")

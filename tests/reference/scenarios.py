@@ -12,14 +12,15 @@ CHOICES = {
     "divergence": ("velocity", "error_rate", "velocity_band"),
     "peak": ("latched", "running"),
     "feedback": ("interaction", "motor"),
+    "expectation": ("displacement", "error"),
 }
-"""Every named variant of model.md; the 108 combinations are cycled through."""
+"""Every named variant of model.md; the 216 combinations are cycled through."""
 
 
 def random_scenarios(n: int, seed: int) -> list[tuple[Params, Choices]]:
     """n scenarios: parameters drawn at random, choices from the shuffled cycle of combinations.
 
-    The cycle is shuffled, so that a short list is a fair sample too; a list of 108 holds each
+    The cycle is shuffled, so that a short list is a fair sample too; a list of 216 holds each
     combination once. Angles in rad, torques in N·m, times in s.
     """
     rng = np.random.default_rng(seed)

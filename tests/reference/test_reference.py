@@ -14,7 +14,7 @@ PAPER = {"K0": 100.0, "Fmax": 15.0, "x0": 0.10, "xb": 0.11, "S": 20.0, "Td": 5.0
 PAPER |= {"sigma": 0.01, "period": 0.01, "I": 10.0, "Kenv": 100.0, "Denv": 189.7, "gap": 0.0}
 PAPER |= {"x_init": 0.0, "v_init": 0.0}
 PRINTED = {"law": "algorithm1", "divergence": "velocity", "peak": "latched"}
-PRINTED |= {"feedback": "interaction", "contact": "hard_stop"}
+PRINTED |= {"feedback": "interaction", "contact": "hard_stop", "expectation": "displacement"}
 ALONE = {"period": 10.0, "gap": 5.0}
 """One tick, at t = 0, and an environment out of reach."""
 FEEBLE = {"Fmax": 1e-12, "period": 10.0}
@@ -105,11 +105,25 @@ def test_chatter_is_refused() -> None:
         events.simulate(p, PRINTED | {"law": "energy", "contact": "welded"}, 1.0)
 
 
-def test_convergence_time_is_the_start_of_the_last_stay() -> None:
-    inside = np.array([True, False, True, True])
-    assert discrete.settled_from(inside, 0.5) == 1.5
-    assert discrete.settled_from(~inside, 0.5) == inf
-    assert discrete.settled_from(inside | True, 0.5) == 0.5
+def test_convergence_time_is_interpolated() -> None:
+    # Samples at 0, 1 .. 5 s: 0.8 of the way from 0.75 to 1 is at the edge, and from 1.25 too.
+    assert discrete.settled_from(np.array([1.0, 0.75, 1.0, 1.0, 1.0, 1.0]), 1.0) == pytest.approx(
+        1.8
+    )
+    assert discrete.settled_from(np.array([1.0, 1.25, 1.0, 1.0, 1.0, 1.0]), 1.0) == pytest.approx(
+        1.8
+    )
+    assert discrete.settled_from(np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0]), 1.0) == pytest.approx(
+        0.95
+    )
+    assert discrete.settled_from(np.ones(6), 1.0) == 0.0
+
+
+def test_a_stay_shorter_than_a_twentieth_is_no_convergence() -> None:
+    relative = np.array([*np.zeros(20), 1.0])
+    assert discrete.settled_from(relative, 1.0) == inf
+    assert discrete.settled_from(np.array([*np.zeros(19), 1.0, 1.0]), 1.0) == pytest.approx(18.95)
+    assert discrete.settled_from(np.zeros(3), 1.0) == inf
 
 
 def gaps(p: Params, choices: Choices, dt: float, exact: dict[str, np.ndarray]) -> float:
