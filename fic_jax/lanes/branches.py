@@ -2,7 +2,9 @@
 
 from collections.abc import Sequence
 
-from fic_jax.lanes.graph import Branch, Graph, Node, Scope, live, replace, users_of
+from fic_jax.lanes.graph import Branch, Graph, Node, Scope, live, users_of
+
+Users = dict[Node, set[Node]]
 
 
 def branch_out(graph: Graph, roots: list[Node]) -> None:
@@ -11,57 +13,77 @@ def branch_out(graph: Graph, roots: list[Node]) -> None:
     The select moves too: in the branch it chooses for each lane. If no lane meets the condition,
     the results are the other arm. So the bits do not depend on the neighbours.
     """
-    hints = sorted({n.value for n in live(roots) if n.op == "select_n" and n.value is not None})
-    for hint in hints:
-        selects = [n for n in live(roots) if n.op == "select_n" and n.value == hint]
+    nodes = live(roots)
+    users = users_of(nodes)
+    selects: dict[int, list[Node]] = {}
+    for node in nodes:
+        if node.op == "select_n" and node.value is not None:
+            selects.setdefault(node.value, []).append(node)
+    for _, hinted in sorted(selects.items()):
+        # an arm may itself be a select, on another condition
         groups: dict[tuple[Scope | None, Node], list[Node]] = {}
-        for select in selects:  # an arm may itself be a select, on another condition
+        for select in hinted:
             groups.setdefault((select.scope, select.args[0]), []).append(select)
         for (scope, _), group in groups.items():
-            alive = live(roots)
-            if still := [n for n in group if n.scope is scope and n in alive]:
-                _into_branch(graph, still, roots)
+            if still := [n for n in group if n.scope is scope and (users[n] or n in roots)]:
+                _into_branch(graph, still, roots, users)
 
 
-def _into_branch(graph: Graph, selects: Sequence[Node], roots: list[Node]) -> None:
+def _into_branch(graph: Graph, selects: list[Node], roots: list[Node], users: Users) -> None:
     """Put selects on one condition, and the nodes that only their rare arm uses, into a branch."""
-    everything, scope = live(roots), selects[0].scope
-    users = users_of(everything)
-    inside = dict.fromkeys(selects)
-    for node in reversed(everything):  # users first
-        movable = node.scope is scope and node.args and node not in roots
-        if movable and all(u in inside and _for_rare_arm(node, u, selects) for u in users[node]):
-            inside[node] = None
-    condition = selects[0].args[0]
+    scope, condition = selects[0].scope, selects[0].args[0]
+    inside = _only_for(selects, set(roots), users)
     if len(inside) == len(selects) and not condition.uniform:  # a few blends cost less than a jump
         return
-    graph.forget(inside)  # the condition of the branch can't lie inside it
-    if len(selects) == 1 and selects[0] not in roots:
-        condition = _where_used(graph, condition, selects[0], users[selects[0]])
-    branch = Branch(
-        scope, list(selects), condition=condition, otherwise=[n.args[1] for n in selects]
-    )
-    results = [
-        graph.place("result", n.kind, i, uniform=False, scope=scope, of=branch)
-        for i, n in enumerate(selects)
-    ]
-    instead = dict(zip(selects, results, strict=True))
-    replace(everything, instead, but=inside)
-    roots[:] = [instead.get(root, root) for root in roots]
+    branch = Branch(scope, selects, condition=condition, otherwise=[n.args[1] for n in selects])
     for node in inside:
         node.scope = branch
+    if len(selects) == 1 and selects[0] not in roots:
+        branch.condition = _where_used(graph, branch, users)
+    for i, select in enumerate(selects):
+        result = graph.place("result", select.kind, i, uniform=False, scope=scope, of=branch)
+        users[result] = users[select] - inside.keys()
+        users[select] = (users[select] & inside.keys()) | {result}
+        for used in result.uses():
+            users[used].add(result)
+        for user in users[result]:
+            user.replace({select: result})
+        roots[:] = [result if root is select else root for root in roots]
 
 
-def _where_used(graph: Graph, condition: Node, select: Node, users: set[Node]) -> Node:
+def _only_for(selects: Sequence[Node], roots: set[Node], users: Users) -> dict[Node, None]:
+    """The selects, and the nodes of their scope that nothing but their rare arms uses."""
+    scope, inside = selects[0].scope, dict.fromkeys(selects)
+    waiting = list(selects)
+    while waiting:
+        for node in waiting.pop().args:
+            movable = node.scope is scope and node.args and node not in roots
+            if movable and node not in inside:
+                if all(u in inside and _for_rare_arm(node, u, selects) for u in users[node]):
+                    inside[node] = None
+                    waiting.append(node)
+    return inside
+
+
+def _where_used(graph: Graph, branch: Branch, users: Users) -> Node:
     """The path predicate: the condition, and that of the only select that uses this one, if any."""
-    user = users.pop()
+    condition, (select,) = branch.condition, branch.outs
+    user, *others = users[select]
     chooses = user.op == "select_n" and user.args.count(select) == 1 and user.args[0] is not select
-    if users or not chooses or user.scope is not select.scope:
+    if others or not chooses or user.scope is not branch.outer:
         return condition
     needed, no, _ = user.args
     if no is select:
-        needed = graph.node("not", (needed,), "b")
-    return graph.node("and", (condition, needed), "b")
+        needed = _combined(graph, "not", (needed,), users)
+    return _combined(graph, "and", (condition, needed), users)
+
+
+def _combined(graph: Graph, op: str, args: tuple[Node, ...], users: Users) -> Node:
+    node = graph.node(op, args, "b")
+    users.setdefault(node, set())
+    for arg in args:
+        users[arg].add(node)
+    return node
 
 
 def _for_rare_arm(node: Node, user: Node, selects: Sequence[Node]) -> bool:

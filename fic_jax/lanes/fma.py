@@ -18,6 +18,7 @@ def contract(graph: Graph, roots: Iterable[Node]) -> None:
         steps[node] = 1 + max((steps[a] for a in node.before() if a in steps), default=0)
         for used in node.uses():
             n_uses[used] = n_uses.get(used, 0) + 1
+    fused = []
     for node in nodes:
         if node.op not in ("add", "sub") or node.kind != "f":
             continue
@@ -29,9 +30,10 @@ def contract(graph: Graph, roots: Iterable[Node]) -> None:
         if products:
             _, i = max(products)  # the one that is computed last
             signs = {"add": "+ +", "sub": ("+ -", "- +")[i]}[node.op]
-            graph.forget([node])
+            fused.append(node)
             node.op, node.value = "fma", signs
             node.args = (*_factors(node.args[i]), node.args[1 - i])
+    graph.forget(fused)
 
 
 def _factors(node: Node) -> tuple[Node, ...]:

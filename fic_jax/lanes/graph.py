@@ -4,7 +4,7 @@ Equal operations are one node (common-subexpression elimination). A node lies in
 that its operands allow (loop-invariant code motion).
 """
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import count
 from typing import Any
@@ -103,6 +103,12 @@ class Node:
         """The nodes outside its loop or branch that it needs first (call `capture` before)."""
         return tuple(self.of.captured) if self.op == "result" else self.args
 
+    def replace(self, instead: "dict[Node, Node]") -> None:
+        """Use other nodes, also in the loop or branch whose phi or result it is."""
+        self.args = tuple(instead.get(a, a) for a in self.args)
+        if self.of:
+            self.of.replace(instead)
+
     def __repr__(self) -> str:
         of = f" of {id(self.of)}" if self.of else ""
         return f"{self.id}: {self.op} {self.value} {[a.id for a in self.args]}{of}"
@@ -124,11 +130,13 @@ class Graph:
     def node(self, op: str, args: Sequence[Node], kind: str, value: Any = None) -> Node:
         """The node of an operation."""
         key = self._key(op, args, kind, value)
-        if key not in self._known:
-            scope = max((a.scope for a in args), key=depth, default=None)
+        scope = max((a.scope for a in args), key=depth, default=None)
+        known = self._known.get(key)
+        if known is None or known.scope is not scope:  # a branch may have taken it in
             uniform = all(a.uniform for a in args)
-            self._known[key] = Node(next(self.ids), op, tuple(args), kind, scope, uniform, value)
-        return self._known[key]
+            known = Node(next(self.ids), op, tuple(args), kind, scope, uniform, value)
+            self._known[key] = known
+        return known
 
     def known(self, op: str, args: Sequence[Node], kind: str, value: Any = None) -> Node | None:
         """The node of an operation, if it exists."""
@@ -141,7 +149,7 @@ class Graph:
     def forget(self, nodes: Iterable[Node]) -> None:
         """Let later operations share neither these nodes nor those that depend on them."""
         gone = set(nodes)
-        for node in sorted(self._known.values(), key=lambda node: node.id):
+        for node in self._known.values():  # by their ids
             if not gone.isdisjoint(node.args):
                 gone.add(node)
         self._known = {key: node for key, node in self._known.items() if node not in gone}
@@ -222,16 +230,10 @@ def users_of(nodes: Iterable[Node]) -> dict[Node, set[Node]]:
     return users
 
 
-def replace(nodes: Iterable[Node], instead: dict[Node, Node], but: Collection[Node] = ()) -> None:
-    """Replace operands of the live `nodes`, except `but`, and of their loops and branches."""
-    scopes: dict[Any, None] = {}
+def replace(nodes: Iterable[Node], instead: dict[Node, Node]) -> None:
+    """Replace operands of the live `nodes`, and of their loops and branches."""
     for node in nodes:
-        if node not in but and not instead.keys().isdisjoint(node.args):
-            node.args = tuple(instead.get(a, a) for a in node.args)
-        if node.of:
-            scopes[node.of] = None
-    for scope in scopes:
-        scope.replace(instead)
+        node.replace(instead)
 
 
 def capture(nodes: Iterable[Node]) -> None:
