@@ -60,7 +60,7 @@ def _to_end(p: Params, a: Piece, x_h: Scalar, model: Model, h: Scalar, pieces: i
     z, u = path.way(), path.speed()
     no = jnp.zeros_like(a.bends)
     whole = Arrival(jnp.ones_like(z), z, u, no, no)
-    there = along(p, a, h, whole, model)
+    there = along(p, a, path, whole, model)
     if pieces == 1:
         return there
     lowest, highest = _speeds(a, model)
@@ -70,7 +70,7 @@ def _to_end(p: Params, a: Piece, x_h: Scalar, model: Model, h: Scalar, pieces: i
 
     def onward() -> Passage:
         end = arrival(p, a, path, whole, model)
-        first = along(p, a, end.part * h, end, model)
+        first = along(p, a, path, end, model)
         left = h - end.part * h
         x, v = first[0].x, first[0].v
         e_M = peak_error_after(a.attractor, x_h - x)
@@ -114,37 +114,43 @@ def _joined(first: Passage, part: Scalar, then: Passage) -> Passage:
     return motion, events, attractor
 
 
-def along(p: Params, a: Piece, h: Scalar, end: Arrival, model: Model) -> Passage:
-    """The motion over h seconds of one piece.
+def along(p: Params, a: Piece, path: Path, end: Arrival, model: Model) -> Passage:
+    """The motion along a piece.
 
-    T is known with its first two derivatives at both ends. So the means have order six (Hermite's
-    quadrature), and an extreme between the ends is that of a parabola.
+    tau_env is known with its first two derivatives at both ends. So the means have order six
+    (Hermite's quadrature), and an extreme between the ends is that of a parabola.
     """
-    z, u = end.z, end.u
+    z, u, h = end.z, end.u, end.part * path.h
     tau, stiffness, work = _law_at(p, a, z)
     tau_env = a.tau_env + a.Kenv * z + a.Denv * (u - a.u)
-    r0, c0 = _rates(p, a, h, a.u, a.torque - a.tau_env, a.stiffness)
-    r1, c1 = _rates(p, a, h, u, tau - tau_env, stiffness)
-    T0, T1 = a.s * a.tau_env, a.s * tau_env
-    r0, r1, c0, c1 = a.s * r0, a.s * r1, a.s * c0, a.s * c1
-    g0, g1 = T0 - p.Td, T1 - p.Td
-    error = 0.5 * (g0 + g1) + 0.1 * (r0 - r1) + (1.0 / 120.0) * (c0 + c1)
+    # derivatives with the piece's duration as unit of time
+    Kh, per_I = a.Kenv * h, h * (1.0 / p.I)
+    c0, cc0 = end.part * path.u[1], end.part**2 * path.u[2]
+    c1 = per_I * (tau - tau_env)
+    r0, r1 = Kh * a.u + a.Denv * c0, Kh * u + a.Denv * c1
+    cc1 = -per_I * (h * stiffness * u + r1)
+    rr0, rr1 = Kh * c0 + a.Denv * cc0, Kh * c1 + a.Denv * cc1
+    Td = a.s * p.Td
+    g0, g1 = a.tau_env - Td, tau_env - Td
+    error = 0.5 * (g0 + g1) + 0.1 * (r0 - r1) + (1.0 / 120.0) * (rr0 + rr1)
     square = (
         0.5 * (g0 * g0 + g1 * g1)
         + 0.2 * (g0 * r0 - g1 * r1)
-        + (1.0 / 60.0) * (r0 * r0 + g0 * c0 + r1 * r1 + g1 * c1)
+        + (1.0 / 60.0) * (r0 * r0 + g0 * rr0 + r1 * r1 + g1 * rr1)
     )
 
     def parabola() -> Scalar:
-        part = r0 / jnp.where(r0 == r1, 1.0, r0 - r1)
-        return 0.5 * (T0 + T1 + 0.5 * part * r0 - 0.5 * (1.0 - part) * r1)
+        return a.tau_env + 0.5 * r0 * r0 / jnp.where(r0 == r1, 1.0, r0 - r1)
 
-    top = where_rare(r0 * r1 < 0.0, parabola, T1)
+    # An extreme is off the ends by at most |r0 - r1|/8: up to 1e-4 of tau_env it does not count.
+    counts = (r0 * r1 < 0.0) & (jnp.abs(r0 - r1) > 1e-3 * jnp.abs(tau_env))
+    top = a.s * where_rare(counts, parabola, tau_env)
+    T0, T1 = a.s * a.tau_env, a.s * tau_env
     touches = a.touches.astype(z.dtype)
     x = a.x + a.s * z
     if model.contact != "welded":
         x = jnp.where(end.at_wall, p.gap, x)
-    motion = Motion(x, a.s * u, work, error, square)
+    motion = Motion(x, a.s * u, work, a.s * error, square)
     events = Events(
         began=a.attractor.diverging,
         highest=jnp.maximum(jnp.maximum(T0, T1), top),
@@ -168,16 +174,6 @@ def _law_at(p: Params, a: Piece, z: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     tau = a.torque - a.stiffness * z
     affine = tau, a.stiffness, z * (0.5 * (a.torque + tau))
     return where_rare(a.bends, bend, affine)
-
-
-def _rates(
-    p: Params, a: Piece, h: Scalar, u: Scalar, net: Scalar, stiffness: Scalar
-) -> tuple[Scalar, Scalar]:
-    """First and second derivative of s tau_env, with h as unit of time."""
-    per_I = h * (1.0 / p.I)
-    change = per_I * net
-    rate = a.Kenv * h * u + a.Denv * change
-    return rate, a.Kenv * h * change - a.Denv * per_I * (h * stiffness * u + rate)
 
 
 def arrival(p: Params, a: Piece, path: Path, whole: Arrival, model: Model) -> Arrival:
@@ -242,7 +238,7 @@ def root(path: Path, of_speed: Scalar, rise: Scalar, rise_to: Scalar, until: Sca
 
     fixed, target, until = jax.lax.stop_gradient((c, rise, until))
     t = _parabola(fixed[0], target, jax.lax.stop_gradient(rise_to), until)
-    for _ in range(1 if jnp.finfo(rise.dtype).bits == 32 else 3):
+    for _ in range(0 if jnp.finfo(rise.dtype).bits == 32 else 2):
         t = _within(t - _quotient(value(fixed, t) - target, slope(fixed, t)), until)
     return _within(t - _quotient(value(c, t) - rise, slope(fixed, t)), until)
 

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 
 from fic_jax.controller import Attractor, Slopes, begin_branch, departs, torque, unlimited_torque
 from fic_jax.environment import in_contact, interaction_torque
+from fic_jax.exploration import expected_reference
 from fic_jax.lanes.hints import where_rare
 from fic_jax.params import Model, Params, Scalar
 
@@ -61,15 +62,17 @@ def enter(
     and so the branch.
     """
     e, rest = x_h - x, v == 0.0
+
+    def from_rest() -> tuple[Scalar, Scalar, Scalar]:
+        s = _heading(p, x, e, model)
+        return s, s * SLOWEST, e
+
     direction = jnp.where(v < 0.0, -1.0, 1.0).astype(x.dtype)
-    s = jax.lax.stop_gradient(where_rare(rest, lambda: _heading(p, x, e, model), direction))
-    # four units in the last place: so much may rounding leave the start short of the switch
-    least = 4.0 * jnp.finfo(x.dtype).eps * (jnp.abs(x) + jnp.abs(x_h))
-    least = jax.lax.stop_gradient(least)
+    s, v_soon, e_M = where_rare(rest, from_rest, (direction, v, e_M))
+    s, least = jax.lax.stop_gradient((s, rounding(p)))
     e_soon, x_soon = e - s * least, x + s * least
-    v_soon = jnp.where(jnp.abs(v) > SLOWEST, v, s * SLOWEST)
     diverging = departs(e_soon, v_soon, model)
-    attractor = begin_branch(e, diverging, jnp.where(rest, e, e_M), p, model, known)
+    attractor = begin_branch(e, diverging, e_M, p, model, known)
 
     one = jnp.ones_like(x)
     tau, slope = jax.jvp(lambda e: unlimited_torque(e, attractor, p), (e_soon,), (one,))
@@ -78,10 +81,12 @@ def enter(
     tau = s * tau + slope * least
 
     # A convergence from beyond xb begins at Fmax, but for rounding.
-    rounding = 32.0 * jnp.finfo(x.dtype).eps
-    above, below = tau > (1.0 + rounding) * p.Fmax, tau < (rounding - 1.0) * p.Fmax
+    close = 32.0 * jnp.finfo(x.dtype).eps
+    above, below = tau > (1.0 + close) * p.Fmax, tau < (close - 1.0) * p.Fmax
     limited = above | below
-    size, outwards = jnp.abs(e_soon), s * e_soon <= 0.0
+    size, outwards = jnp.abs(e_soon), diverging
+    if model.divergence == "velocity_band":  # it also diverges towards the reference
+        outwards = s * e_soon <= 0.0
     bends = diverging & (size > p.x0) & (size < p.xb) & ~limited
     level = _next_level(size, outwards, diverging, below, p, model)
     wall = jnp.full_like(x, jnp.inf)
@@ -108,6 +113,12 @@ def enter(
     )
 
 
+def rounding(p: Params) -> Scalar:
+    """Four units in the last place: so far may rounding leave the joint short of a switch, rad."""
+    size = jnp.abs(expected_reference(p)) + jnp.abs(p.gap) + jnp.abs(p.x_init) + p.xb
+    return 4.0 * jnp.finfo(size.dtype).eps * size
+
+
 def _heading(p: Params, x: Scalar, e: Scalar, model: Model) -> Scalar:
     """The direction in which a joint at rest sets out."""
     yes, none = jnp.ones_like(e, bool), jnp.zeros_like(e)
@@ -122,7 +133,7 @@ def _next_level(
     inner, beyond = size <= p.x0, size >= p.xb
     away = jnp.where(inner, p.x0, jnp.where(beyond | below, jnp.inf, p.xb))
     edge = -p.x0
-    if model.divergence == "velocity_band":  # it also diverges towards the reference
+    if model.divergence == "velocity_band":
         edge = jnp.where(diverging & beyond, -p.xb, edge)
     towards = jnp.where(inner, 0.0, edge)
     if model.law != "algorithm1":  # one slope

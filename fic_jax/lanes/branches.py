@@ -38,7 +38,7 @@ def _into_branch(graph: Graph, selects: list[Node], roots: list[Node], users: Us
     branch = Branch(scope, selects, condition=condition, otherwise=[n.args[1] for n in selects])
     for node in inside:
         node.scope = branch
-    if len(selects) == 1 and selects[0] not in roots:
+    if not set(selects) & set(roots):
         branch.condition = _where_used(graph, branch, users)
     for i, select in enumerate(selects):
         result = graph.place("result", select.kind, i, uniform=False, scope=scope, of=branch)
@@ -66,16 +66,23 @@ def _only_for(selects: Sequence[Node], roots: set[Node], users: Users) -> dict[N
 
 
 def _where_used(graph: Graph, branch: Branch, users: Users) -> Node:
-    """The path predicate: the condition, and that of the only select that uses this one, if any."""
-    condition, (select,) = branch.condition, branch.outs
+    """The path predicate: the condition, and that of the selects that alone use these, if any."""
+    wanted = {_wanted(select, branch.outer, users) for select in branch.outs}
+    if len(wanted) != 1 or None in wanted:
+        return branch.condition
+    needed, yes = wanted.pop()  # type: ignore[misc]
+    if not yes:
+        needed = _combined(graph, "not", (needed,), users)
+    return _combined(graph, "and", (branch.condition, needed), users)
+
+
+def _wanted(select: Node, scope: Scope | None, users: Users) -> tuple[Node, bool] | None:
+    """The condition under which another select, the only user, chooses this one, and its value."""
     user, *others = users[select]
     chooses = user.op == "select_n" and user.args.count(select) == 1 and user.args[0] is not select
-    if others or not chooses or user.scope is not branch.outer:
-        return condition
-    needed, no, _ = user.args
-    if no is select:
-        needed = _combined(graph, "not", (needed,), users)
-    return _combined(graph, "and", (condition, needed), users)
+    if others or not chooses or user.scope is not scope:
+        return None
+    return user.args[0], user.args[2] is select
 
 
 def _combined(graph: Graph, op: str, args: tuple[Node, ...], users: Users) -> Node:
