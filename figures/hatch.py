@@ -104,7 +104,8 @@ def legend_entries(planes: Sequence[Plane]) -> dict[str, tuple[Patch, ...]]:
             entries[text] = (Patch(**_look(key) | {"linewidth": 0.5, "edgecolor": "black"}),)
     untrusted = [plane.untrusted for plane in planes]
     if any(panel is not None and panel.any() for panel in untrusted):
-        bound = f"error > {100 * max(plane.trust_bound for plane in planes):g} % of nmse"
+        bounds = dict.fromkeys(plane.trust_bound for plane in planes if plane.trust_bound)
+        bound = f"error > {' or '.join(bounds)}"
         box = Patch(facecolor="0.75", edgecolor="black", linewidth=0.5)
         hatches = (Patch(**look) for look in _OVERLAY)
         entries[f"not trusted: {bound} ({_shares(untrusted)})"] = (box, *hatches)
