@@ -110,8 +110,8 @@ ranges = { Td = { lin = [1.0, 5.0] }, K0 = { log = [1.0, 1000.0] } }
 KEYS = [
     *QUANTITIES, *CHOICES, "name", "description", "metrics", "error_estimate", "precision", "dt",
     "t_end", "n", "method", "seed", "ranges", "lin", "log", "time", "model", "constants", "axes",
-    "cases", "sample", "case", "scenario", "status", "trusted", "nmse", '""', '"a b"', "'é'", "'../x'",
-    '"\\u0000"', '"a\\nb"', "__class__", "k" * 500,
+    "cases", "sample", "case", "scenario", "status", "trusted", "nmse", '""', '"a b"', "'é'",
+    "'../x'", '"\\u0000"', '"a\\nb"', "__class__", "k" * 500,
 ]  # fmt: skip
 VALUES = [
     "0", "-0.0", "1", "-1", "0.3", "2", "10", "1e-320", "1e308", "-1e308", "1e999", "nan", "-inf",
