@@ -311,6 +311,17 @@ def test_nothing_in_the_figure_is_cut_off(paper):
     assert drawn.y0 >= 0 and drawn.y1 <= sheet.y1
 
 
+def test_a_legend_fits_the_width_of_the_figure(judged):
+    """A bound with a floor is long; the reasons for masked cells stand under it, not beside it."""
+    judged.status[1, 15, :] = 2
+    figure = plot(judged, x="Kenv", y="K0", at={"Td": 5})
+    FigureCanvasAgg(figure).draw()
+    (box,) = figure.legends
+    drawn = box.get_window_extent()
+    assert drawn.x0 >= 0 and drawn.x1 <= figure.bbox.x1
+    assert drawn.y0 >= 0 and drawn.y1 <= panel(figure).get_tightbbox().y0
+
+
 def test_drawing_makes_no_pyplot_figure_and_changes_no_data(paper):
     before = paper.copy(deep=True)
     plot(paper, x="Td", y="K0")
