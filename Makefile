@@ -8,10 +8,10 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-# run or resume the sweeps $(1) with the options $(2)
+# run or resume the sweeps $(1)
 run = for name in $(1); do \
 	  if [ -e results/$$name.zarr ]; then $(BIN)/fic-sweep resume results/$$name.zarr; \
-	  else $(BIN)/fic-sweep run $$name --out results/$$name.zarr $(2); fi || exit $$?; \
+	  else $(BIN)/fic-sweep run $$name --out results/$$name.zarr; fi || exit $$?; \
 	done
 
 # every branch of what a sweep's numbers hang on; of the rest all but a few
@@ -25,9 +25,7 @@ comma := ,
 
 sweep: $(VENV)/installed
 	@mkdir -p results
-	@# the paper's studies in double precision: their heatmaps show the report's numbers
-	@$(call run,paper-welded paper-contact,--precision 64)
-	@$(call run,period-map atlas-small,)
+	@$(call run,paper-welded paper-contact period-map atlas-small)
 	@echo "drawing ..."
 	@$(BIN)/python -m figures.overview results
 	@ls results/*.png

@@ -1,6 +1,6 @@
 """Hatches under and over the colours of a heatmap, and the legend that names them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ INFINITE = {
     "convergence_time_error": "converges in one of two runs",
     "contact_time_error": "touches in one of two runs",
 }
+LEGEND_BOX = 32  # point; a box of the legend and the spaces around it and its text
 HATCH_CELLS = 400  # per side; finer hatch outlines are below one printed dot
 # A dark line on a wider light line is visible on every colour, also in a grey print.
 _OVERLAY: tuple[dict[str, Any], ...] = tuple(
@@ -104,11 +105,21 @@ def legend_entries(planes: Sequence[Plane]) -> dict[str, tuple[Patch, ...]]:
             entries[text] = (Patch(**_look(key) | {"linewidth": 0.5, "edgecolor": "black"}),)
     untrusted = [plane.untrusted for plane in planes]
     if any(panel is not None and panel.any() for panel in untrusted):
-        bound = f"error > {100 * max(plane.trust_bound for plane in planes):g} % of nmse"
+        bounds = dict.fromkeys(plane.trust_bound for plane in planes if plane.trust_bound)
+        bound = f"error > {' or '.join(bounds)}"
         box = Patch(facecolor="0.75", edgecolor="black", linewidth=0.5)
         hatches = (Patch(**look) for look in _OVERLAY)
         entries[f"not trusted: {bound} ({_shares(untrusted)})"] = (box, *hatches)
     return entries
+
+
+def legend_columns(entries: Iterable[str], width: float) -> int:
+    """The most columns of a legend whose widest texts fit side by side into `width` inches."""
+    widths = sorted((style.text_width(text, style.SMALL_SIZE) for text in entries), reverse=True)
+    columns = int(width / 1.65)
+    while columns > 1 and sum(widths[:columns]) + columns * LEGEND_BOX > 72 * width:
+        columns -= 1
+    return columns
 
 
 def _shares(panels: Sequence[Cells | None]) -> str:

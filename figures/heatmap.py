@@ -71,9 +71,9 @@ def panels(items: Sequence[tuple[str, Plane]]) -> Figure:
     labels = LABEL_ROOM * (1 if shared else len(items))
     room = (72 * width - BAR_ROOM - labels) / len(items) - 8
     head, titles = _titles(items, 72 * width - 10, room + 8)
-    columns = int(width / 1.65)
     with rc_context(style.RC):
         entries = hatch.legend_entries(planes)
+        columns = hatch.legend_columns(entries, width)
         lines = head.count("\n") + max(text.count("\n") for text in titles)
         height = 2.55 + 0.13 * lines + 0.15 * math.ceil(len(entries) / columns)
         fig = Figure(figsize=(width, height))

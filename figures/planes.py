@@ -11,9 +11,17 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from fic_jax import QUANTITIES, TRUST
+from fic_jax import QUANTITIES
 from figures import style
-from sweeps.store.format import ERRORS, FLAGS, OK, STATUS, TRUSTED
+from sweeps.store.format import (
+    ERRORS,
+    FLAGS,
+    JUDGEMENTS,
+    OK,
+    OLD_JUDGEMENTS,
+    STATUS,
+    TRUSTED,
+)
 
 
 class PlotError(ValueError):
@@ -50,7 +58,7 @@ class Plane:
     name: str  # of the sweep
     fixed: tuple[str, ...]  # "symbol = value unit" of each constant and each fixed dimension
     untrusted: NDArray[np.bool_] | None = None  # cells that ran but are not trusted; None: unknown
-    trust_bound: float = TRUST  # largest relative error of nmse of a trusted cell
+    trust_bound: str = ""  # largest error of a trusted cell, as a formula
 
 
 def select(
@@ -82,7 +90,7 @@ def select(
         for dim in data[metric].dims
         if dim not in (x, y)
     }
-    wanted = [metric, *(name for name in FLAGS if name in data)]
+    wanted = [name for name in (metric, _judgement(data, metric), "status") if name in data]
     # isel before load: a store may be larger than memory, a plane is not
     plane = data[wanted].isel(index).load().transpose(y, x)
     for dim in (x, y):
@@ -92,17 +100,32 @@ def select(
 
 
 def _require_metric(metric: str, data: xr.Dataset) -> None:
-    estimated = "trusted" in data
-    if metric in (*ERRORS, "trusted") and not estimated:
+    judgements = JUDGEMENTS | OLD_JUDGEMENTS
+    if metric in (*ERRORS, *judgements) and not any(name in data for name in judgements):
         raise PlotError(
             f"There is no '{metric}': the store has no error estimates; "
             "`fic-sweep run --error-estimate` makes them."
         )
-    if metric == "trusted":
+    if metric in judgements:
+        judged = judgements[metric]
         raise PlotError(
-            "'trusted' is no metric: the heatmap of any metric hatches what is not trusted."
+            f"'{metric}' is no metric: the heatmap of '{judged}' hatches what is not trusted."
         )
     _require(metric, [name for name in data.data_vars if name not in FLAGS], "metric")
+
+
+def _judgement(data: xr.Dataset, metric: str) -> str:
+    """The flag that judges a metric, or the metric of an error; empty if the store has none."""
+    judged = ERRORS.get(metric, metric)
+    names = (name for name, of in (JUDGEMENTS | OLD_JUDGEMENTS).items() if of == judged)
+    return next((name for name in names if name in data), "")
+
+
+def _bound(data: xr.Dataset, judgement: str) -> str:
+    """The bound of a judgement, as the store has it."""
+    if judgement in OLD_JUDGEMENTS:
+        return f"{100 * float(data.attrs.get('trust_bound', 0.01)):g} % of nmse"
+    return str(data[judgement].attrs.get("bound", "its bound"))
 
 
 def _require(name: str, known: Iterable[Hashable], what: str) -> None:
@@ -146,6 +169,7 @@ def _plane(data: xr.Dataset, x: str, y: str, metric: str) -> Plane:
     special = {key: status == code for key, code in STATUS.items() if code != OK}
     good = status == OK
     special["infinite"] = good & np.isinf(values)
+    judgement = _judgement(data, metric)
     hidden = ~good | ~np.isfinite(values)
     special["no value"] = hidden & ~np.logical_or.reduce(list(special.values()))
     return Plane(
@@ -157,8 +181,8 @@ def _plane(data: xr.Dataset, x: str, y: str, metric: str) -> Plane:
         special={key: cells for key, cells in special.items() if cells.any()},
         name=str(data.attrs.get("name", "")),
         fixed=(*_constants(data), *(_fixed(c) for c in data.coords.values() if c.ndim == 0)),
-        untrusted=good & (data["trusted"].values != TRUSTED) if "trusted" in data else None,
-        trust_bound=float(data.attrs.get("trust_bound", TRUST)),
+        untrusted=good & (data[judgement].values != TRUSTED) if judgement else None,
+        trust_bound=_bound(data, judgement) if judgement else "",
     )
 
 

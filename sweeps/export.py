@@ -13,6 +13,7 @@ from sweeps.spec.mistakes import SweepError
 from sweeps.store.format import FLAGS
 
 SUFFIX = {"csv": ".csv", "parquet": ".parquet", "netcdf": ".nc"}
+DEFINED = ("metrics_definition", "metrics_definition_meaning")  # a Parquet file has them too
 PIECE = 500_000  # rows held at once
 
 
@@ -39,6 +40,7 @@ def tables(data: xr.Dataset) -> Iterator[pd.DataFrame]:
     fields = [name for name in data.coords if name not in data.dims]
     for piece in _pieces(dict(data["status"].sizes)):
         frame = data.isel(piece).to_dataframe(order).reset_index()
+        frame.attrs = {key: data.attrs[key] for key in DEFINED if key in data.attrs}
         for name, flags in _flags(data):
             frame[name] = frame[name].map({code: word for word, code in flags.items()})
         yield frame[[*order, *fields, *data.data_vars]]

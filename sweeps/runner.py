@@ -93,6 +93,7 @@ def start(path: Path, plan: Sweep, chunk: int | None, precision: int) -> Store:
 def reopen(path: Path, precision: int) -> Store:
     """Open a store to continue it. Raises SweepError if this process would give other bits."""
     store = open_store(path)
+    store.check_definition()
     began = store.group.attrs.asdict()
     differing = differences(began, provenance(precision))
     if "numerics" not in began:  # its `program` was a hash of source text: it compares with nothing
@@ -179,7 +180,9 @@ def _attempt(store: Store, index: int, known: Row | None, attempt: int) -> tuple
     if before:
         todo = np.isin(before["status"], (OK, DIVERGED), invert=True)
     try:
-        values = values_of(*_compute(store.grid, block, store.dtype, todo))
+        values = values_of(
+            *_compute(store.grid, block, store.dtype, todo), store.grid.sweep.time.t_end
+        )
     except Exception as error:  # the sweep continues without this block
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:300]
         values = before or no_values(store.grid, index)

@@ -265,16 +265,21 @@ def test_estimates_are_those_of_the_engine_and_change_no_metric(tmp_path, estima
         for name in DOUBTED.metrics:
             expected = getattr(errors, name).reshape(grid.shape)
             np.testing.assert_array_equal(data[f"{name}_error"], np.where(good, expected, np.nan))
-        trusted = fic_jax.trusted(metrics, errors).reshape(grid.shape)
-        assert 0 < trusted.sum() < good.sum()
-        flags = np.where(trusted, store_format.TRUSTED, store_format.NOT_TRUSTED)
-        np.testing.assert_array_equal(
-            data["trusted"], np.where(good, flags, store_format.NO_ESTIMATE)
-        )
-        assert Counts.of(open_store(estimated)).trusted == trusted.sum()
+        trusted, counts = fic_jax.trusted(metrics, errors, 0.2), Counts.of(open_store(estimated))
+        assert list(counts.trusted) == DOUBTED.metrics
+        for name in DOUBTED.metrics:
+            within = np.asarray(getattr(trusted, name)).reshape(grid.shape)
+            flags = np.where(within, store_format.TRUSTED, store_format.NOT_TRUSTED)
+            np.testing.assert_array_equal(
+                data[f"{name}_trusted"], np.where(good, flags, store_format.NO_ESTIMATE)
+            )
+            assert counts.trusted[name] == within.sum()
+        assert 0 < counts.trusted["nmse"] < good.sum()
+        assert len(set(counts.trusted.values())) > 1
     plain = parse(ESTIMATED, "f", ("error_estimate=false",))
     without, whole = bits(complete(tmp_path / "plain.zarr", plain, chunk=12).path), bits(estimated)
-    assert set(whole) - set(without) == {f"{name}_error" for name in plain.metrics} | {"trusted"}
+    more = {f"{name}_{of}" for name in plain.metrics for of in ("error", "trusted")}
+    assert set(whole) - set(without) == more
     assert without == {name: whole[name] for name in without}
 
 
@@ -282,28 +287,28 @@ def test_status_counts_the_trusted_cells_of_finished_blocks(tmp_path, estimated)
     store = stopped(tmp_path / "halted.zarr", DOUBTED, 12, 1)
     data = xr.open_zarr(store.path, chunks=None)
     done = (data["status"] != store_format.NOT_RUN).sum()
-    trusted = (data["trusted"] == store_format.TRUSTED).sum()
-    assert 0 < trusted <= done < 30
-    lines = "\n".join(messages.status_lines(store))
-    assert f"trusted   {int(trusted)} of {int(done)} cells (" in lines
+    assert 0 < done < 30
+    lines = " ".join(messages.status_lines(store))
+    for name in DOUBTED.metrics:
+        trusted = (data[f"{name}_trusted"] == store_format.TRUSTED).sum()
+        assert f" {name} {100 * float(trusted / done):.4g} %" in lines
     result = runner.run(runner.reopen(store.path, 32), quiet)
     assert bits(store.path) == bits(estimated)
-    assert re.search(
-        r"; trusted 1\d of 30 cells \([\d.]+ %\), nmse known to 1 %$",
-        messages.summary(store, result),
-    )
+    assert re.search(r"^trusted   nmse [\d.]+ %, ", messages.summary(store, result), re.MULTILINE)
 
 
-def test_a_store_without_nmse_knows_what_is_trusted(tmp_path, estimated):
+def test_a_store_of_few_metrics_judges_them_alone(tmp_path, estimated):
     few = parse(ESTIMATED, "f", ('metrics=["peak_torque"]',))
     data = dataset(complete(tmp_path / "few.zarr", few).path)
-    assert list(data) == ["peak_torque", "peak_torque_error", "trusted", "status"]
-    np.testing.assert_array_equal(data["trusted"], dataset(estimated)["trusted"])
+    assert list(data) == ["peak_torque", "peak_torque_error", "peak_torque_trusted", "status"]
+    np.testing.assert_array_equal(
+        data["peak_torque_trusted"], dataset(estimated)["peak_torque_trusted"]
+    )
 
 
 def test_a_dry_run_accounts_for_estimates():
     grid = Grid(DOUBTED)
-    assert messages.plan_lines(grid, "float32")[-1].endswith(", error estimates included")
+    assert messages.plan_lines(grid, "float32")[-1].endswith(", float32, error estimates included")
     assert runner.measure(grid, "float32")[1] > 0
     long = parse(ESTIMATED, "f", ("t_end=100",))
     plain = parse(ESTIMATED, "f", ("t_end=100", "error_estimate=false"))

@@ -1,5 +1,7 @@
 """The sweeps of the library: `list`, `show`, and finding one by its name."""
 
+import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,9 +33,19 @@ def show(what: SweepName) -> None:
     sweep = load(path)
     print(path.read_text(encoding="utf-8").rstrip())
     print()
-    for line in plan_lines(Grid(sweep), "float32"):
+    for line in plan_lines(Grid(sweep), f"float{sweep.bits}"):
         print(f"# {line}")
     warn(sweep)
+
+
+def read(what: str, overrides: Sequence[str]) -> "Sweep":
+    """The sweep of a name, a file or a store, changed by `--set`."""
+    from sweeps.spec.reading import load
+    from sweeps.store.opening import open_store
+
+    if os.path.isfile(os.path.join(what, "zarr.json")):
+        return open_store(Path(what)).sweep_again(overrides)
+    return load(find(what), tuple(overrides))
 
 
 def find(what: str) -> Path:

@@ -10,12 +10,13 @@ import numpy as np
 from sweeps.plan.grid import Grid
 from sweeps.runner import Progress
 from sweeps.spec.mistakes import SweepError, printable
-from sweeps.store.format import DIVERGED, size
+from sweeps.store.format import DEFINITIONS, DIVERGED, size
 from sweeps.store.ledger import Row, intact
 from sweeps.store.opening import Counts, Store
 from sweeps.store.verify import Report
 
 MAX_PROBLEMS = 20  # damaged files that `verify` names
+METRICS_IN_A_LINE = 4  # of `status`
 MAX_NAMED = 5  # failed blocks, or diverged scenarios, that `status` names
 
 
@@ -26,7 +27,7 @@ def plan_lines(grid: Grid, dtype: str) -> list[str]:
     return [
         f"{_dims(grid)} = {grid.cells:,} scenarios of {grid.sweep.n_steps:,} steps",
         f"{grid.n_blocks:,} blocks of up to {shape}",
-        f"{_bytes(size(grid, dtype))} on disk before compression{estimates}",
+        f"{_bytes(size(grid, dtype))} on disk before compression, {dtype}{estimates}",
     ]
 
 
@@ -43,7 +44,6 @@ def status_lines(store: Store) -> list[str]:
     """How far a store is, and which program made it on which device."""
     counts, attrs, grid = Counts.of(store), store.group.attrs.asdict(), store.grid
     diverged = _diverged(store) if counts.cells["diverged"] else ()
-    trusted = [_trusted(store, counts)] if grid.sweep.error_estimate else []
     made_by = f"fic_jax {attrs['fic_jax']} ({attrs['revision']}), jax {attrs['jax']}"
     return [
         f"{store.path}: {grid.sweep.name}, {_dims(grid)}",
@@ -51,7 +51,8 @@ def status_lines(store: Store) -> list[str]:
         *(f"  {name:8}{count:>14,}" for name, count in counts.cells.items()),
         *(f"diverged  {scenario}" for scenario in diverged),
         *(f"failed    {block}" for block in _set_aside(store, counts.set_aside)),
-        *(f"trusted   {share}" for share in trusted),
+        *_trusted(counts),
+        f"metrics   {DEFINITIONS[store.definition]}",
         f"blocks    {len(counts.pending):,} of {grid.n_blocks:,} to do",
         printable(f"began     {attrs['start']}, ended {attrs.get('end', 'not yet')}"),
         printable(f"made by   {made_by}"),
@@ -124,10 +125,8 @@ def summary(store: Store, result: Progress) -> str:
     steps = rate * store.grid.sweep.n_steps / 1e6
     speed = f", {rate:,.0f}/s ({steps:,.0f} M steps/s)" if steps >= 1 else ""
     diverged = f", {result.diverged:,} diverged" if result.diverged else ""
-    parts = [f"{result.ran:,} scenarios in {_duration(result.seconds)}{speed}{diverged}"]
-    if store.grid.sweep.error_estimate:
-        parts.append(f"trusted {_trusted(store, Counts.of(store))}")
-    return f"{store.path}: {'; '.join(parts)}"
+    first = f"{result.ran:,} scenarios in {_duration(result.seconds)}{speed}{diverged}"
+    return "\n".join([f"{store.path}: {first}", *_trusted(Counts.of(store))])
 
 
 def failed_blocks(store: Store, result: Progress) -> Iterator[str]:
@@ -181,11 +180,12 @@ def _reason(error: BaseException) -> str:
     return f"{file}: {words}" if file else words
 
 
-def _trusted(store: Store, counts: Counts) -> str:
-    """How many of the finished cells are trusted, in a store with error estimates."""
-    share = f"{counts.trusted:,} of {counts.done:,} cells ({_percent(counts.trusted, counts.done)})"
-    bound = float(str(store.group.attrs["trust_bound"]))
-    return f"{share}, nmse known to {100 * bound:g} %"
+def _trusted(counts: Counts) -> list[str]:
+    """Of each metric, the share of finished cells in which it is trusted; a few in a line."""
+    shares = [f"{name} {_percent(n, counts.done)}" for name, n in counts.trusted.items()]
+    starts = range(0, len(shares), METRICS_IN_A_LINE)
+    rows = [", ".join(shares[i : i + METRICS_IN_A_LINE]) for i in starts]
+    return [f"{'' if i else 'trusted':10}{row}" for i, row in enumerate(rows)]
 
 
 def _dims(grid: Grid) -> str:

@@ -2,12 +2,15 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sweeps.cli.arguments import StorePath
 from sweeps.cli.errors import refuse, unreadable_refused
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 class Format(StrEnum):
@@ -44,7 +47,15 @@ def plot(
         save(figure, target)
     except (OSError, ValueError) as error:
         refuse(f"{target}: can't be written: {error}")
-    print(f"wrote {target}")
+    print(f"wrote {target}{_old_definition(data)}")
+
+
+def _old_definition(data: "xr.Dataset") -> str:
+    """What the metrics are, if this program would compute others."""
+    from sweeps.store.format import DEFINITION
+
+    old = data.attrs["metrics_definition"] != DEFINITION
+    return f"; its metrics are {data.attrs['metrics_definition_meaning']}" if old else ""
 
 
 def _fixed(at: list[str]) -> dict[str, str]:
@@ -73,4 +84,4 @@ def export(
     target = out or Path(f"{data.attrs['name']}{SUFFIX[to.value]}")
     with unreadable_refused(path):
         rows = write(data, target, to.value)
-    print(f"wrote {target}, {rows:,} scenarios")
+    print(f"wrote {target}, {rows:,} scenarios{_old_definition(data)}")

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sweeps.cli import interruption
-from sweeps.cli.arguments import StorePath, SweepName
+from sweeps.cli.arguments import StorePath
 from sweeps.cli.errors import fail, system_errors_reported
-from sweeps.cli.library import find, warn
+from sweeps.cli.library import find, read, warn
 from sweeps.cli.process import importing
 from sweeps.cli.progress import run_with_progress
 
@@ -33,7 +33,9 @@ class Device(StrEnum):
 
 
 def run(
-    what: SweepName,
+    what: Annotated[
+        str, typer.Argument(metavar="NAME|FILE|STORE", help="library name, TOML file or a store")
+    ],
     out: Annotated[Path | None, typer.Option(metavar="PATH", help="the store to write")] = None,
     set_: Annotated[
         list[str] | None,
@@ -42,7 +44,9 @@ def run(
         ),
     ] = None,
     dry_run: Annotated[bool, typer.Option(help="size, bytes and expected time only")] = False,
-    precision: Annotated[Precision, typer.Option(help="bits of a number")] = Precision.single,
+    precision: Annotated[
+        Precision | None, typer.Option(help="bits of a number; default: the file's, or 32")
+    ] = None,
     chunk: Annotated[int | None, typer.Option(min=1, help="most cells of a block")] = None,
     device: Annotated[Device | None, typer.Option(help="default: a GPU if JAX has one")] = None,
     error_estimate: Annotated[
@@ -52,17 +56,17 @@ def run(
     """Run a sweep into a new store."""
     stop = interruption.stop_on_signals()
     overrides = [*(set_ or []), *(["error_estimate=true"] if error_estimate else [])]
+    overrides += [f"precision={precision}"] if precision else []
     with importing():
         from sweeps import runner
-        from sweeps.spec.reading import load
 
-    sweep = load(find(what), tuple(overrides))
-    runner.configure(int(precision), device and device.value)
+    sweep = read(what, overrides)
+    runner.configure(sweep.bits, device and device.value)
     warn(sweep)
     if dry_run:
-        _print_plan(sweep, chunk, f"float{precision}")
+        _print_plan(sweep, chunk)
         return
-    store = runner.start(out or Path(f"{sweep.name}.zarr"), sweep, chunk, int(precision))
+    store = runner.start(out or Path(f"{sweep.name}.zarr"), sweep, chunk, sweep.bits)
     _finish(store, stop)
 
 
@@ -96,17 +100,18 @@ def reopen(path: Path) -> "Store":
     from sweeps.store.opening import open_store
 
     store = open_store(path)
+    store.check_definition()  # before JAX starts
     precision = int(store.dtype.removeprefix("float"))
     runner.configure(precision, str(store.group.attrs.get("platform", "cpu")))
     return runner.reopen(path, precision)
 
 
-def _print_plan(sweep: "Sweep", chunk: int | None, dtype: str) -> None:
+def _print_plan(sweep: "Sweep", chunk: int | None) -> None:
     from sweeps.cli.messages import expectation, plan_lines
     from sweeps.plan.grid import Grid
     from sweeps.runner import measure
 
-    grid = Grid(sweep, chunk)
+    grid, dtype = Grid(sweep, chunk), f"float{sweep.bits}"
     for line in plan_lines(grid, dtype):
         print(line)
     print(expectation(grid, *measure(grid, dtype)))

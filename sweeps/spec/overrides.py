@@ -7,7 +7,8 @@ from fic_jax import CHOICES, QUANTITIES
 from sweeps.spec.mistakes import SweepError, hint, printable
 from sweeps.spec.types import Time
 
-TOP_LEVEL = ("name", "description", "metrics", "error_estimate")  # keys outside any table
+# keys outside any table
+TOP_LEVEL = ("name", "description", "metrics", "error_estimate", "precision")
 
 
 def override(raw: dict[str, Any], text: str) -> None:

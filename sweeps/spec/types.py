@@ -135,6 +135,7 @@ class Sweep(Record):
     description: Annotated[str, Field(max_length=10_000)] = ""
     metrics: Names = list(STORED)
     error_estimate: Annotated[bool, Strict()] = False  # also store the error of each metric
+    precision: Literal[32, 64] | None = None  # bits of a number; None: as the run says, or 32
     time: Time = Time()
     model: dict[str, Choice] = {}
     constants: dict[str, Number] = {}
@@ -145,6 +146,11 @@ class Sweep(Record):
     @property
     def n_steps(self) -> int:
         return round(self.time.t_end / self.time.dt)
+
+    @property
+    def bits(self) -> int:
+        """Precision of a run that names no other."""
+        return self.precision or 32
 
     @property
     def dims(self) -> dict[str, int]:
@@ -166,10 +172,10 @@ class Sweep(Record):
     def record(self) -> str:
         """The sweep as JSON. A store keeps this text and compares sweeps by it.
 
-        `error_estimate` is an attribute of the store instead: it changes no metric, and older
-        programs refuse a record that has it.
+        Two keys are attributes of the store instead. `error_estimate` changes no metric, and the
+        run may have another `precision` than the file.
         """
-        return self.model_dump_json(exclude_none=True, exclude={"error_estimate"})
+        return self.model_dump_json(exclude_none=True, exclude={"error_estimate", "precision"})
 
     def values_to_check(self) -> dict[str, dict[str, np.ndarray]]:
         """Table -> field -> values. If any value of the field breaks a bound, one of these does."""

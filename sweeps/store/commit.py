@@ -18,7 +18,17 @@ from sweeps.plan.grid import Grid, cells_of, shape_of
 from sweeps.spec.mistakes import SweepError
 from sweeps.store import format as store_format
 from sweeps.store import fsync
-from sweeps.store.format import DIVERGED, NO_ESTIMATE, NOT_RUN, NOT_TRUSTED, OK, STATUS, TRUSTED
+from sweeps.store.format import (
+    DEFINITION,
+    DIVERGED,
+    FLAGS,
+    FORMAT,
+    NO_ESTIMATE,
+    NOT_TRUSTED,
+    OK,
+    STATUS,
+    TRUSTED,
+)
 from sweeps.store.ledger import CHECKSUM, LEDGER, Checksum, Ledger, Row, intact
 from sweeps.store.lock import Lock, locked
 from sweeps.store.opening import Store
@@ -30,8 +40,8 @@ class Writer:
     """Writes blocks into a store that this process has locked."""
 
     def __init__(self, store: Store) -> None:
-        if store.ledger is None:
-            raise SweepError(f"{store.path}: has format 1, without a ledger: it can only be read")
+        if store.ledger is None or (store.form, store.definition) != (FORMAT, DEFINITION):
+            raise SweepError(f"{store.path}: has format {store.form}, which can only be read")
         self.store, self.ledger = store, store.ledger
 
     def commit(self, values: Values, row: Row) -> Row:
@@ -49,7 +59,10 @@ class Writer:
             ok=ok,
             diverged=diverged,
             failed=failed,
-            trusted=int(np.sum(values["trusted"] == TRUSTED)),
+            trusted={
+                metric: int(np.sum(values[flag] == TRUSTED))
+                for flag, metric in store_format.judgements(self.store.grid.sweep).items()
+            },
             at=now(),
             files={name: Checksum.of(content) for name, content in files.items()},
         )
@@ -86,24 +99,25 @@ class Writer:
         }
 
 
-def values_of(metrics: Metrics, errors: Metrics | None) -> Values:
-    """The variables of computed scenarios. A diverged one has NaN metrics."""
-    finite, values = metrics.finite, dict(vars(metrics))
-    trust = np.full(finite.shape, NO_ESTIMATE)
+def values_of(metrics: Metrics, errors: Metrics | None, t_end: float) -> Values:
+    """The variables of computed scenarios of `t_end` seconds. A diverged one has NaN metrics."""
+    finite, values = np.asarray(metrics.finite), dict(vars(metrics))
+    flags = {"status": np.where(finite, OK, DIVERGED)}
     if errors is not None:
         values |= {f"{name}_error": value for name, value in vars(errors).items()}
-        flags = np.where(trusted(metrics, errors), TRUSTED, NOT_TRUSTED)
-        trust = np.where(finite, flags, NO_ESTIMATE)
+        for name, within in vars(trusted(metrics, errors, t_end)).items():
+            trust = np.where(within, np.uint8(TRUSTED), np.uint8(NOT_TRUSTED))
+            flags[f"{name}_trusted"] = np.where(finite, trust, np.uint8(NO_ESTIMATE))
     if not finite.all():  # in few blocks: copies take time
         values = {name: np.where(finite, value, np.nan) for name, value in values.items()}
-    return values | {"trusted": trust, "status": np.where(finite, OK, DIVERGED)}
+    return values | flags
 
 
 def no_values(grid: Grid, index: int) -> Values:
     """The variables of a block that was not run."""
-    n = cells_of(grid.block(index))
-    flags = {"status": np.full(n, NOT_RUN), "trusted": np.full(n, NO_ESTIMATE)}
-    return {name: np.full(n, np.nan) for name in store_format.variable_names(grid.sweep)} | flags
+    n, names = cells_of(grid.block(index)), store_format.variable_names(grid.sweep)
+    # the flags say "not run" and "no estimate"
+    return {name: np.zeros(n, int) if name in FLAGS else np.full(n, np.nan) for name in names}
 
 
 def read_block(store: Store, row: Row) -> Values | None:
@@ -111,8 +125,7 @@ def read_block(store: Store, row: Row) -> Values | None:
     if not all(intact(*file) for file in store.files(row)):
         return None
     block = store.grid.block(row.block)
-    stored = {name: np.asarray(store.array(name)[block]).ravel() for name in store.variables}
-    return no_values(store.grid, row.block) | stored
+    return {name: np.asarray(store.array(name)[block]).ravel() for name in store.variables}
 
 
 @contextmanager

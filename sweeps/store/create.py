@@ -95,10 +95,12 @@ def building(partial: Path) -> Iterator[None]:
             shutil.rmtree(partial, ignore_errors=True)
 
 
-def write_empty(path: Path, grid: Grid, made_by: Mapping[str, Any]) -> None:
+def write_empty(
+    path: Path, grid: Grid, made_by: Mapping[str, Any], form: int = store_format.FORMAT
+) -> None:
     """Write attributes, coordinates, the metadata of each variable, and an empty ledger."""
     group = zarr.create_group(path, attributes=store_format.attributes(grid) | dict(made_by))
-    for array in store_format.arrays(grid, made_by["dtype"]):
+    for array in store_format.arrays(grid, made_by["dtype"], form):
         group.create_array(**array)
     beside = [name for dim in grid.dims for name in _write_coordinates(group, grid, dim)]
     if beside:

@@ -37,7 +37,7 @@ def extend(store: Store, plan: Sweep, source: str) -> Store:
     The larger store is built beside it, and takes its name once all of it is on the disk. Raises
     SweepError, with a line for each reason, if `plan` (from the file `source`) is not larger.
     """
-    problems = list(_differences(store.grid.sweep, plan))
+    problems = list(_differences(store, plan))
     grid = Grid(plan, store.grid.chunk)
     if not problems:
         problems = list(_losses(store.grid, grid))
@@ -76,8 +76,11 @@ def recover(path: Path) -> None:
         before.rename(path)
 
 
-def _differences(old: Sweep, new: Sweep) -> Iterator[str]:
+def _differences(store: Store, new: Sweep) -> Iterator[str]:
     """What must be equal in both sweeps and differs."""
+    old = store.grid.sweep
+    if new.precision and f"float{new.precision}" != store.dtype:
+        yield f"`precision` must be that of the store, {store.dtype.removeprefix('float')}."
     for key in ("time", "error_estimate"):
         if getattr(old, key) != getattr(new, key):
             yield f"`{key}` must be that of the store, {getattr(old, key)}."

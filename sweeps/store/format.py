@@ -11,18 +11,22 @@ from fic_jax import METRICS, QUANTITIES, TRUST
 from sweeps.plan.grid import Grid
 from sweeps.spec.types import STORED, Sweep
 
-FORMAT = 2  # raise it with a change that older programs can't read
+FORMAT = 3  # raise it with a change that older programs can't read
+DEFINITION = "motion"  # of the metrics that this program computes
+DEFINITIONS = {  # name in a store -> what its metrics are; formats 1 and 2 have no name in them
+    "samples": "means over samples at step ends",
+    "motion": "integrals and extremes of the motion",
+}
 
 NOT_RUN, OK, DIVERGED, FAILED = range(4)
 STATUS = {"not run": NOT_RUN, "ok": OK, "diverged": DIVERGED, "failed": FAILED}
 NO_ESTIMATE, NOT_TRUSTED, TRUSTED = range(3)
 TRUSTWORTHY = {"no estimate": NO_ESTIMATE, "not trusted": NOT_TRUSTED, "trusted": TRUSTED}
-FLAGS = {"trusted": TRUSTWORTHY, "status": STATUS}  # flag variables; 0 is the fill value
-FLAG_NAMES = {
-    "trusted": f"whether the estimated error of nmse is at most {100 * TRUST:g} % of nmse",
-    "status": "what became of the scenario",
-}
 ERRORS = {f"{name}_error": name for name in STORED}  # error estimate -> its metric
+JUDGEMENTS = {f"{name}_trusted": name for name in STORED}  # flag -> the metric that it judges
+OLD_JUDGEMENTS = {"trusted": "nmse"}  # formats 1 and 2 judge no other metric
+# flag variables; 0 is the fill value
+FLAGS = dict.fromkeys((*JUDGEMENTS, *OLD_JUDGEMENTS), TRUSTWORTHY) | {"status": STATUS}
 ESTIMATE = (
     "Absolute error of the metric beside it, estimated by running the scenario again with half the "
     "plant step and its switches located inside the step; infinite where only one of the two runs "
@@ -33,13 +37,40 @@ COORDINATE_CHUNK = 1_000_000  # values
 FLAT: Any = {"name": "default", "separator": "."}
 
 
-def variable_names(sweep: Sweep) -> list[str]:
-    """The variables of a store, in the order they are written."""
-    estimates = [*(f"{name}_error" for name in sweep.metrics), "trusted"]
-    return [*sweep.metrics, *(estimates if sweep.error_estimate else ()), "status"]
+def judgements(sweep: Sweep, form: int = FORMAT) -> dict[str, str]:
+    """The flags of a store of format `form` that say what is trusted -> the metric of each."""
+    if not sweep.error_estimate:
+        return {}
+    return {f"{name}_trusted": name for name in sweep.metrics} if form > 2 else OLD_JUDGEMENTS
 
 
-def arrays(grid: Grid, dtype: str) -> Iterator[dict[str, Any]]:
+def variable_names(sweep: Sweep, form: int = FORMAT) -> list[str]:
+    """The variables of a store of format `form`, in the order they are written."""
+    errors = [f"{name}_error" for name in sweep.metrics] if sweep.error_estimate else []
+    return [*sweep.metrics, *errors, *judgements(sweep, form), "status"]
+
+
+def bound(name: str) -> str:
+    """The largest error of a trusted metric, as a formula: `max(1 % of nmse, 1e-12)`."""
+    scale, floor = {"value": name}.get(TRUST[name].scale, TRUST[name].scale), _floor(name)
+    part = f"{100 * TRUST[name].part:g} % of {scale}"
+    return f"max({part}, {floor})" if floor else part
+
+
+def _bound_in_words(name: str) -> str:
+    scale, floor = TRUST[name].scale, _floor(name)
+    of = {"value": "its value", "T_n": "the reachable torque", "t_end": "the run's time"}[scale]
+    part = f"{100 * TRUST[name].part:g} % of {of}"
+    return f"{part}, or {floor}" if floor else part
+
+
+def _floor(name: str) -> str:
+    """The smallest bound of a metric with its unit; empty if there is none."""
+    unit = METRICS[name]["unit"]
+    return f"{TRUST[name].floor:g} {unit}".removesuffix(" 1") if TRUST[name].floor else ""
+
+
+def arrays(grid: Grid, dtype: str, form: int = FORMAT) -> Iterator[dict[str, Any]]:
     """Arguments of `zarr.create_array` for each array of a store: coordinates, then variables."""
     for dim, length in grid.dims.items():
         for name, values in grid.coordinates(dim, slice(0, 1)).items():
@@ -55,7 +86,7 @@ def arrays(grid: Grid, dtype: str) -> Iterator[dict[str, Any]]:
                 "chunk_key_encoding": FLAT,
                 "attributes": {"units": quantity["unit"], "long_name": quantity["meaning"]},
             }
-    for name in variable_names(grid.sweep):
+    for name in variable_names(grid.sweep, form):
         yield variable(grid, name, dtype)
 
 
@@ -63,8 +94,7 @@ def variable(grid: Grid, name: str, dtype: str) -> dict[str, Any]:
     """Arguments of `zarr.create_array` for a variable."""
     if name in FLAGS:
         dtype, fill = "uint8", 0.0
-        attributes = {
-            "long_name": FLAG_NAMES[name],
+        attributes = _flag_meaning(name) | {
             "flag_values": list(FLAGS[name].values()),
             "flag_meanings": " ".join(word.replace(" ", "_") for word in FLAGS[name]),
         }
@@ -87,6 +117,16 @@ def variable(grid: Grid, name: str, dtype: str) -> dict[str, Any]:
     }
 
 
+def _flag_meaning(name: str) -> dict[str, Any]:
+    if name == "status":
+        return {"long_name": "what became of the scenario"}
+    if name in OLD_JUDGEMENTS:
+        return {"long_name": "whether the estimated error of nmse is at most 1 % of nmse"}
+    metric = JUDGEMENTS[name]
+    words = f"whether the estimated error of {metric} is at most {_bound_in_words(metric)}"
+    return {"long_name": words, "bound": bound(metric)}
+
+
 def attributes(grid: Grid) -> dict[str, Any]:
     """The attributes of a store that follow from its sweep."""
     sweep = grid.sweep
@@ -98,10 +138,10 @@ def attributes(grid: Grid) -> dict[str, Any]:
         "sweep_sha256": sha256(sweep.record()),
         "block_cells": grid.block_cells,
         "error_estimate": int(sweep.error_estimate),  # NetCDF knows no booleans
+        "metrics_definition": DEFINITION,
+        "metrics_definition_meaning": DEFINITIONS[DEFINITION],
     }
-    if sweep.error_estimate:
-        record |= {"error_estimate_meaning": ESTIMATE, "trust_bound": TRUST}
-    return record
+    return record | ({"error_estimate_meaning": ESTIMATE} if sweep.error_estimate else {})
 
 
 def size(grid: Grid, dtype: str) -> int:

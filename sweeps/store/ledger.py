@@ -66,7 +66,7 @@ class Row:
     ok: int = 0  # cells
     diverged: int = 0
     failed: int = 0
-    trusted: int = 0
+    trusted: int | dict[str, int] = 0  # by metric; in formats 1 and 2 a number, of nmse
     seconds: float = 0.0  # of computing
     attempt: int = 1  # the one that succeeded, or the last
     at: str = ""  # UTC

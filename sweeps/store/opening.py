@@ -2,7 +2,8 @@
 
 import json
 import os
-from collections.abc import Iterator
+import shlex
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,9 +14,11 @@ import zarr
 
 from sweeps.plan.grid import Grid
 from sweeps.spec.mistakes import SweepError, printable
+from sweeps.spec.overrides import override
+from sweeps.spec.reading import validate
 from sweeps.spec.types import Sweep
 from sweeps.store import format as store_format
-from sweeps.store.format import FORMAT, NOT_RUN, OK, STATUS, TRUSTED
+from sweeps.store.format import DEFINITION, DEFINITIONS, FORMAT, NOT_RUN, OK, STATUS, TRUSTED
 from sweeps.store.fsync import PARTIAL
 from sweeps.store.ledger import (
     DONE,
@@ -50,10 +53,20 @@ class Store:
         """Precision of the metrics, `float32` or `float64`."""
         return str(self.group.attrs["dtype"])
 
+    @property
+    def form(self) -> int:
+        """The format that it was written in."""
+        return cast(int, self.group.attrs["format"])
+
+    @property
+    def definition(self) -> str:
+        """The definition of its metrics, a key of DEFINITIONS."""
+        return str(self.group.attrs.get("metrics_definition", "samples"))
+
     @cached_property
     def variables(self) -> list[str]:
         """The variables, in the order they are written."""
-        return store_format.variable_names(self.grid.sweep)
+        return store_format.variable_names(self.grid.sweep, self.form)
 
     def array(self, name: str) -> zarr.Array[Any]:
         """A variable or a coordinate on the disk."""
@@ -81,6 +94,27 @@ class Store:
             if not 0 <= row.block < self.grid.n_blocks or set(row.files) - set(self.variables):
                 raise self.damaged(f"{LEDGER} is damaged: it has a block {row.block}")
         return rows
+
+    def check_definition(self) -> None:
+        """Raise SweepError if this program computes metrics of another definition."""
+        if self.definition != DEFINITION:
+            again = (
+                f"run {shlex.quote(str(self.path))} --out {self.grid.sweep.name}-{DEFINITION}.zarr"
+            )
+            raise SweepError(
+                f"{self.path}: its metrics are {DEFINITIONS[self.definition]}, this program's are "
+                f"{DEFINITIONS[DEFINITION]}: it can't be continued; `fic-sweep {again}` runs its "
+                "sweep again"
+            )
+
+    def sweep_again(self, overrides: Sequence[str] = ()) -> Sweep:
+        """Its sweep for a new run, changed as by `--set`. Raises SweepError for a mistake."""
+        estimate, precision = self.grid.sweep.error_estimate, int(self.dtype.removeprefix("float"))
+        raw = json.loads(self.grid.sweep.record())
+        raw |= {"error_estimate": estimate, "precision": precision}
+        for assignment in overrides:
+            override(raw, assignment)
+        return validate(raw, str(self.path))
 
     def damaged(self, what: str) -> SweepError:
         """The error for a store that changed since it was written."""
@@ -141,7 +175,7 @@ class Counts:
     """How far a store is."""
 
     cells: dict[str, int]  # by status
-    trusted: int
+    trusted: dict[str, int]  # by metric; empty without error estimates
     pending: list[int]  # blocks to run, in storage order
     set_aside: list[Row]
     unfinished: dict[int, Row]  # pending blocks that have a row
@@ -160,11 +194,18 @@ class Counts:
         done = {row.block for row in rows if row.outcome == DONE}
         return cls(
             cells,
-            trusted=sum(row.trusted for row in rows),
+            trusted={
+                metric: sum(_trusted(row, metric) for row in rows)
+                for metric in store_format.judgements(store.grid.sweep, store.form).values()
+            },
             pending=[i for i in range(store.grid.n_blocks) if i not in done],
             set_aside=[row for row in rows if row.outcome == SET_ASIDE],
             unfinished={row.block: row for row in rows if row.outcome != DONE},
         )
+
+
+def _trusted(row: Row, metric: str) -> int:
+    return row.trusted if isinstance(row.trusted, int) else row.trusted.get(metric, 0)
 
 
 def open_store(path: Path) -> Store:
@@ -183,8 +224,11 @@ def open_store(path: Path) -> Store:
         group = zarr.open_group(path, mode="r", zarr_format=3)
         attributes: dict[str, Any] = group.attrs.asdict()
         written, record = attributes["format"], attributes["sweep"]
-        if written not in (1, FORMAT):
+        if written not in range(1, FORMAT + 1):
             raise SweepError(f"{path}: has format {written}; this program reads up to {FORMAT}")
+        definition = attributes.get("metrics_definition", "samples")
+        if (definition == "samples") != (written < 3) or definition not in DEFINITIONS:
+            raise ValueError(f"format {written} with metrics of the definition {definition}")
         if store_format.sha256(record) != attributes["sweep_sha256"]:
             raise SweepError(f"{path}: its sweep record differs from the one that began it")
         # the estimate is no part of the record, and the oldest stores have no attribute for it
@@ -195,7 +239,7 @@ def open_store(path: Path) -> Store:
             raise ValueError(f"block_cells {chunk}, dtype {attributes['dtype']}")
         ledger = Ledger(path / LEDGER) if written > 1 else None
         store = Store(path, Grid(sweep, chunk), group, ledger)
-        expected = list(store_format.arrays(store.grid, store.dtype))
+        expected = list(store_format.arrays(store.grid, store.dtype, store.form))
     except SweepError:
         raise
     except Exception as error:  # whatever zarr and pydantic raise for a foreign file
@@ -273,4 +317,8 @@ def dataset(path: Path) -> "xr.Dataset":
     store = open_store(path)
     store.check_metadata()
     store.check_files()
-    return xr.open_zarr(path, chunks=None)[store.variables]
+    data = xr.open_zarr(path, chunks=None)[store.variables]
+    meaning = DEFINITIONS[store.definition]  # formats 1 and 2 do not say it
+    return data.assign_attrs(
+        metrics_definition=store.definition, metrics_definition_meaning=meaning
+    )

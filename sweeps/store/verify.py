@@ -94,7 +94,7 @@ def repair_metadata(path: Path) -> None:
             if place.is_symlink() or place.is_file():
                 place.unlink()  # we would write through the link
         fresh, store = Path(folder) / "fresh", open_store(path)
-        write_empty(fresh, store.grid, {"dtype": store.dtype})
+        write_empty(fresh, store.grid, {"dtype": store.dtype}, store.form)
         again, recorded = Ledger(fresh / LEDGER), {file.path: file for file in files}
         names = [file.path for file in again.metadata()]
         for fresh_file in again.metadata():

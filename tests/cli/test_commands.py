@@ -9,6 +9,7 @@ import pytest
 import xarray as xr
 
 import fic_jax
+from sweeps import runner
 from tests.command import call, typed
 
 
@@ -96,12 +97,46 @@ def test_dry_run_prints_size_and_time_and_writes_nothing(folder):
 
 def test_error_estimate_stores_errors_and_counts_trusted_cells(folder):
     done = typed("run", "tiny.toml", "--error-estimate")
-    share = r"trusted {}\d+ of 12 cells \([\d.]+ %\), nmse known to 1 %$"
-    assert re.search("; " + share.format(""), done.stdout, re.MULTILINE)
+    shares = r"^trusted   nmse [\d.]+ %, nmse_tail [\d.]+ %, "
+    assert re.search(shares, done.stdout, re.MULTILINE)
     status = typed("status", "tiny.zarr").stdout
-    assert re.search("^" + share.format("  "), status, re.MULTILINE)
+    assert re.search(shares, status, re.MULTILINE)
+    assert "metrics   integrals and extremes of the motion\n" in status
+    assert max(map(len, status.splitlines())) <= 100
     with xr.open_zarr(folder / "tiny.zarr") as data:
         assert np.isfinite(data["nmse_error"]).all()
+
+
+def test_precision_is_that_of_the_command_or_the_file(folder, monkeypatch):
+    """A store records it as its dtype; `run` sets JAX up for it."""
+    with (folder / "tiny.toml").open("r+") as file:
+        text = file.read()
+        file.seek(0)
+        file.write("precision = 64\n" + text)
+    assert "before compression, float64" in typed("show", "tiny.toml").stdout
+    configured = []
+    monkeypatch.setattr(runner, "start", lambda *args: configured.append(args[-1]) or 1 / 0)
+    for more, bits in (
+        ((), 64),
+        (("--precision", "32"), 32),
+        (("--set", "precision=32"), 32),
+        (("--set", "precision=32", "--precision", "64"), 64),
+    ):
+        with pytest.raises(ZeroDivisionError):
+            typed("run", "tiny.toml", *more)
+        assert configured.pop() == bits
+        planned = typed("run", "tiny.toml", "--dry-run", *more).stdout
+        assert f"before compression, float{bits}" in planned
+
+
+def test_expectation_is_a_dimension_like_any_choice(folder):
+    done = typed("run", "tiny.toml", "--set", 'expectation=["displacement", "error"]')
+    assert done.code == 0
+    with xr.open_zarr(folder / "tiny.zarr") as data:
+        assert dict(data.sizes) == {"expectation": 2, "K0": 4, "Td": 3}
+        assert data["expectation"].values.tolist() == ["displacement", "error"]
+    options = ("--x", "Td", "--y", "K0", "--at", "expectation=error")
+    assert typed("plot", "tiny.zarr", *options).code == 0
 
 
 @pytest.mark.parametrize(

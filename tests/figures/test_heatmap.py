@@ -14,6 +14,11 @@ from matplotlib.colors import LogNorm, to_rgb
 from matplotlib.figure import Figure
 
 from figures import PlotError, panels, plot, save, select, style
+from sweeps.plan.grid import Grid
+from sweeps.spec.reading import parse
+from sweeps.store import format as store_format
+
+PLAN = parse('name = "small"\n[axes]\nK0 = [1.0, 2.0]', "small.toml")
 
 UNITS = {"K0": "N*m/rad", "Kenv": "N*m/rad", "Td": "N*m", "period": "s", "Denv": "N*m*s/rad"}
 
@@ -306,6 +311,17 @@ def test_nothing_in_the_figure_is_cut_off(paper):
     assert drawn.y0 >= 0 and drawn.y1 <= sheet.y1
 
 
+def test_a_legend_fits_the_width_of_the_figure(judged):
+    """A bound with a floor is long; the reasons for masked cells stand under it, not beside it."""
+    judged.status[1, 15, :] = 2
+    figure = plot(judged, x="Kenv", y="K0", at={"Td": 5})
+    FigureCanvasAgg(figure).draw()
+    (box,) = figure.legends
+    drawn = box.get_window_extent()
+    assert drawn.x0 >= 0 and drawn.x1 <= figure.bbox.x1
+    assert drawn.y0 >= 0 and drawn.y1 <= panel(figure).get_tightbbox().y0
+
+
 def test_drawing_makes_no_pyplot_figure_and_changes_no_data(paper):
     before = paper.copy(deep=True)
     plot(paper, x="Td", y="K0")
@@ -351,13 +367,15 @@ def test_a_field_along_another_dimension_is_refused(atlas):
 
 @pytest.fixture
 def judged(atlas):
-    """The atlas with error estimates; half of the middle plane is not trusted."""
+    """The atlas with error estimates; nmse is not trusted in half of the middle plane."""
     doubt = np.ones(atlas.nmse.shape, bool)
     doubt[1] = np.add.outer(np.arange(16), np.arange(12)) > 14
     atlas["nmse_error"] = atlas.nmse.copy(data=np.where(doubt, 0.1, 1e-4) * atlas.nmse)
     atlas.nmse_error.attrs["long_name"] = "estimated error of normalised mean square error"
-    atlas["trusted"] = atlas.status.copy(data=np.where(doubt, 1, 2).astype(np.uint8))
-    atlas.attrs["trust_bound"] = 0.01
+    for metric, doubted in (("nmse", doubt), ("convergence_time", ~doubt)):
+        flags = np.where(doubted, 1, 2).astype(np.uint8)
+        described = store_format.variable(Grid(PLAN), f"{metric}_trusted", "f4")["attributes"]
+        atlas[f"{metric}_trusted"] = (atlas.status.dims, flags, described)
     return atlas
 
 
@@ -367,9 +385,9 @@ def hatched(axes: Axes) -> list[str]:
 
 def test_cells_that_are_not_trusted_keep_their_colour_under_a_hatch(judged):
     judged.status[1, 15, :] = 2
-    judged.trusted[1, 15, :] = 0
+    judged.nmse_trusted[1, 15, :] = 0
     plane = select(judged, x="Kenv", y="K0", at={"Td": 5})
-    expected = (judged.trusted.values[1] == 1) & (judged.status.values[1] == 1)
+    expected = (judged.nmse_trusted.values[1] == 1) & (judged.status.values[1] == 1)
     np.testing.assert_array_equal(plane.untrusted, expected)
     figure = panels([("", plane)])
     hidden = np.ma.getmaskarray(mesh(panel(figure)).get_array())
@@ -377,7 +395,7 @@ def test_cells_that_are_not_trusted_keep_their_colour_under_a_hatch(judged):
     share = style.share(expected.mean())
     assert legend(figure) == [
         "diverged (6.2 %)",
-        f"not trusted: error > 1 % of nmse ({share} %)",
+        f"not trusted: error > max(1 % of nmse, 1e-12) ({share} %)",
     ]
     over = [patch for patch in panel(figure).patches if patch.get_hatch() == style.UNTRUSTED]
     corners = mesh(panel(figure)).get_coordinates()
@@ -392,21 +410,46 @@ def test_cells_that_are_not_trusted_keep_their_colour_under_a_hatch(judged):
 
 def test_a_plane_that_is_trusted_or_has_no_estimates_gets_no_hatch(judged):
     trusted = judged.copy(deep=True)
-    trusted.trusted[:] = 2
-    for data in (judged.drop_vars(["trusted", "nmse_error"]), trusted):
+    trusted.nmse_trusted[:] = 2
+    for data in (judged.drop_vars(["nmse_trusted", "nmse_error"]), trusted):
         figure = plot(data, x="Kenv", y="K0")
         assert hatched(panel(figure)) == [] and legend(figure) == []
 
 
 def test_a_panel_without_estimates_gets_a_dash_for_its_share(judged):
-    bare = judged.drop_vars(["trusted", "nmse_error"])
+    bare = judged.drop_vars(["nmse_trusted", "nmse_error"])
     row = [("", select(data, x="Kenv", y="K0", at={"Td": 1})) for data in (judged, bare)]
-    assert legend(panels(row)) == ["not trusted: error > 1 % of nmse (100, – %)"]
+    assert legend(panels(row)) == ["not trusted: error > max(1 % of nmse, 1e-12) (100, – %)"]
+
+
+def test_each_metric_has_a_hatch_and_a_bound_of_its_own(judged):
+    for metric, drawn in (
+        ("nmse", "nmse"),
+        ("nmse", "nmse_error"),
+        ("convergence_time", "convergence_time"),
+    ):
+        plane = select(judged, x="Kenv", y="K0", at={"Td": 5}, metric=drawn)
+        doubted = judged[f"{metric}_trusted"].values[1] == 1
+        np.testing.assert_array_equal(plane.untrusted, doubted)
+        bound = {"nmse": "max(1 % of nmse, 1e-12)", "convergence_time": "1 % of t_end"}[metric]
+        share = style.share(doubted.mean())
+        assert legend(panels([("", plane)])) == [f"not trusted: error > {bound} ({share} %)"]
+    plane = select(judged, x="Kenv", y="K0", at={"Td": 5}, metric="steady_error")
+    assert plane.untrusted is None and legend(panels([("", plane)])) == []
+
+
+def test_an_old_store_hatches_nmse_alone(judged):
+    """Formats 1 and 2 have one flag for all; their bound is an attribute."""
+    flags = {"trusted": judged.nmse_trusted.drop_attrs()}
+    old = judged.drop_vars(["nmse_trusted", "convergence_time_trusted"]).assign(flags)
+    figure = plot(old.assign_attrs(trust_bound=0.02), x="Kenv", y="K0", at={"Td": 1})
+    assert legend(figure) == ["not trusted: error > 2 % of nmse (100 %)"]
+    assert hatched(panel(plot(old, x="Kenv", y="K0", metric="convergence_time"))) == []
 
 
 def test_a_number_in_a_hatched_cell_has_a_box_of_the_cells_colour(paper):
-    paper["trusted"] = paper.status.copy(data=np.full(paper.status.shape, 2, np.uint8))
-    paper.trusted[1, 0, 0] = 1
+    paper["nmse_trusted"] = paper.status.copy(data=np.full(paper.status.shape, 2, np.uint8))
+    paper.nmse_trusted[1, 0, 0] = 1
     axes = panel(plot(paper, x="Td", y="K0"))
     colours = mesh(axes).to_rgba(mesh(axes).get_array()).reshape(-1, 4)
     boxes = [text.get_bbox_patch() for text in axes.texts]
@@ -427,12 +470,14 @@ def test_an_estimated_error_has_a_logarithmic_scale(judged):
     assert norm.vmin == 0.0 < norm.vmax
 
 
-def test_trusted_is_no_metric_and_an_error_needs_estimates(judged):
-    with pytest.raises(PlotError, match="'trusted' is no metric: the heatmap of any metric hatch"):
-        plot(judged, x="Kenv", y="K0", metric="trusted")
+def test_a_flag_is_no_metric_and_an_error_needs_estimates(judged):
+    for flag, metric in (("nmse_trusted", "nmse"), ("overshoot_trusted", "overshoot")):
+        words = f"'{flag}' is no metric: the heatmap of '{metric}' hatches what is not trusted"
+        with pytest.raises(PlotError, match=words):
+            plot(judged, x="Kenv", y="K0", metric=flag)
     with pytest.raises(PlotError, match=r"no metric 'nsme_error'. Did you mean 'nmse_error'"):
         plot(judged, x="Kenv", y="K0", metric="nsme_error")
-    bare = judged.drop_vars(["trusted", "nmse_error"])
-    for metric in ("trusted", "steady_error_error"):
+    bare = judged.drop_vars([n for n in judged if n.endswith(("_trusted", "nmse_error"))])
+    for metric in ("trusted", "nmse_trusted", "steady_error_error"):
         with pytest.raises(PlotError, match=f"no '{metric}': the store has no error estimates; "):
             plot(bare, x="Kenv", y="K0", metric=metric)

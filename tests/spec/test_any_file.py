@@ -65,6 +65,7 @@ def plan(sweep):
             small.params(block)
         small.model(block)
     again = json.loads(sweep.record()) | {"error_estimate": sweep.error_estimate}
+    again |= {"precision": sweep.precision} if sweep.precision else {}
     assert validate(again, "a store") == sweep  # a store that is begun can be opened again
 
 
@@ -78,6 +79,7 @@ name = "all"
 description = "every table"
 metrics = ["nmse", "peak_torque"]
 error_estimate = true
+precision = 64
 [time]
 dt = 0.01
 t_end = 0.5
@@ -106,10 +108,10 @@ ranges = { Td = { lin = [1.0, 5.0] }, K0 = { log = [1.0, 1000.0] } }
     'name = "axes"\naxes = { period = { lin = [0.01, 0.1], n = 10 }, x0 = [0.05, 0.1] }\n',
 ]
 KEYS = [
-    *QUANTITIES, *CHOICES, "name", "description", "metrics", "error_estimate", "dt", "t_end", "n",
-    "method", "seed", "ranges", "lin", "log", "time", "model", "constants", "axes", "cases",
-    "sample", "case", "scenario", "status", "trusted", "nmse", '""', '"a b"', "'é'", "'../x'",
-    '"\\u0000"', '"a\\nb"', "__class__", "k" * 500,
+    *QUANTITIES, *CHOICES, "name", "description", "metrics", "error_estimate", "precision", "dt",
+    "t_end", "n", "method", "seed", "ranges", "lin", "log", "time", "model", "constants", "axes",
+    "cases", "sample", "case", "scenario", "status", "trusted", "nmse", '""', '"a b"', "'é'",
+    "'../x'", '"\\u0000"', '"a\\nb"', "__class__", "k" * 500,
 ]  # fmt: skip
 VALUES = [
     "0", "-0.0", "1", "-1", "0.3", "2", "10", "1e-320", "1e308", "-1e308", "1e999", "nan", "-inf",

@@ -28,11 +28,11 @@ def test_a_field_moves_to_the_table_of_its_new_value():
 
 
 def test_other_keys_need_no_table():
-    settings = ("dt=0.005", "law=effort", "name=b", "error_estimate=true")
+    settings = ("dt=0.005", "law=effort", "name=b", "error_estimate=true", "precision=64")
     sweep = parse(FILE, "f", settings)
     assert sweep.time.dt == 0.005
     assert sweep.model == {"law": "effort"}
-    assert (sweep.name, sweep.error_estimate) == ("b", True)
+    assert (sweep.name, sweep.error_estimate, sweep.bits) == ("b", True, 64)
     drawn = parse(DRAWN, "f", ("n=7", "method=lhs", "seed=3")).sample
     assert (drawn.n, drawn.method, drawn.seed) == (7, "lhs", 3)
 
@@ -54,6 +54,9 @@ def test_other_keys_need_no_table():
         ("k" * 100_000, "--set kkk"),
         ("K0=nan", "`constants.K0` must be a finite number"),
         ("t_end=1e300", "`time.t_end` must be at most 100,000,000 steps"),
+        ("precision=16", "`precision` must be 32 or 64, but is 16."),
+        ("precision=true", "`precision` must be 32 or 64, but is true."),
+        ("precision='64'", '`precision` must be 32 or 64, but is "64".'),
         ("seed=1", "`sample.n` must be given"),
         ("law=\udcff", "`model.law` must be"),
     ],

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from sweeps.store.format import FORMAT
 from tests.store.stores import Stores, without_engine
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -35,5 +36,5 @@ def quick(monkeypatch):
 
 @pytest.fixture
 def golden(tmp_path):
-    """A copy of the golden store of format 2, to be changed."""
-    return Path(shutil.copytree(GOLDEN / "format-2.zarr", tmp_path / "golden.zarr"))
+    """A copy of the golden store of today's format, to be changed."""
+    return Path(shutil.copytree(GOLDEN / f"format-{FORMAT}.zarr", tmp_path / "golden.zarr"))

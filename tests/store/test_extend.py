@@ -99,6 +99,8 @@ NOT_LARGER = {
     "metrics": (CASES, ("nmse", "energy_in"), ["`metrics` must be those of the store, ['nmse']."]),
     "time": (CASES, ("[cases]", "time.dt=0.005\n[cases]"), [
         "`time` must be that of the store, dt=0.01 t_end=10.0."]),
+    "precision": (CASES, ('["nmse"]', '["nmse"]\nprecision = 64'), [
+        "`precision` must be that of the store, 32."]),
     "two things": (CASES, ('["nmse"]', '["nmse", "energy_in"]\nerror_estimate = true'), [
         "`error_estimate` must be that of the store, False.",
         "`metrics` must be those of the store, ['nmse']."]),

@@ -60,7 +60,9 @@ def test_xarray_opens_a_store_without_our_code_and_without_a_warning(tmp_path):
     for key in ("numerics", "arithmetic", "revision", "jax", "device", "dtype", "start", "sweep"):
         assert data.attrs[key], key
     assert json.loads(data.attrs["sweep"])["axes"]["Td"] == [1.0, 5.0, 20.0]
-    assert (data.attrs["error_estimate"], "trust_bound" in data.attrs) == (0, False)
+    assert data.attrs["error_estimate"] == 0
+    assert data.attrs["metrics_definition"] == "motion"
+    assert "integrals" in data.attrs["metrics_definition_meaning"]
 
 
 def test_error_estimates_are_described(tmp_path):
@@ -70,15 +72,41 @@ def test_error_estimates_are_described(tmp_path):
             "units": "1",
             "long_name": f"estimated error of {fic_jax.METRICS['nmse']['meaning']}",
         }
-        assert data["trusted"].dtype == np.uint8
-        assert data["trusted"].attrs["flag_values"] == [0, 1, 2]
-        assert data["trusted"].attrs["flag_meanings"] == "no_estimate not_trusted trusted"
-        assert (data.attrs["error_estimate"], data.attrs["trust_bound"]) == (1, fic_jax.TRUST)
+        assert data["nmse_trusted"].dtype == np.uint8
+        assert data["nmse_trusted"].attrs == {
+            "long_name": "whether the estimated error of nmse is at most 1 % of its value, "
+            "or 1e-12",
+            "bound": "max(1 % of nmse, 1e-12)",
+            "flag_values": [0, 1, 2],
+            "flag_meanings": "no_estimate not_trusted trusted",
+        }
+        assert data.attrs["error_estimate"] == 1
+        assert "trusted" not in data
         assert "half the plant step" in data.attrs["error_estimate_meaning"]
         assert "error_estimate" not in data.attrs["sweep"]  # older programs would refuse it
         error, metric = data["nmse_error"].encoding, data["nmse"].encoding
         for key in ("dtype", "chunks", "compressors"):
             assert error[key] == metric[key]
+
+
+@pytest.mark.parametrize("name", store_format.STORED)
+def test_each_bound_is_named_in_words_and_as_a_formula(name):
+    """Both say what TRUST has, in the unit and on the scale of the metric."""
+    bound = fic_jax.TRUST[name]
+    scale, words = {
+        "value": (name, "its value"),
+        "T_n": ("T_n", "the reachable torque"),
+        "t_end": ("t_end", "the run's time"),
+    }[bound.scale]
+    floor = {"nmse": "1e-12", "nmse_tail": "1e-12", "energy_in": "1e-06 J"}.get(name)
+    part = f"{100 * bound.part:g} % of"
+    described = store_format.variable(Grid(PLAN), f"{name}_trusted", "float32")["attributes"]
+    formula = f"{part} {scale}"
+    assert described["bound"] == (f"max({formula}, {floor})" if floor else formula)
+    whole = f"estimated error of {name} is at most {part} {words}" + (
+        f", or {floor}" if floor else ""
+    )
+    assert described["long_name"].endswith(whole)
 
 
 @pytest.mark.parametrize(

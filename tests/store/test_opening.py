@@ -251,7 +251,7 @@ def format_1(inner):
     """The format without a ledger must be no way around the checks."""
 
     def change(path):
-        change_attributes(path, format=1)
+        change_attributes(path, format=1, metrics_definition=None)
         inner(path)
 
     return change
@@ -271,8 +271,13 @@ REFUSED = {  # by every command, with these words
     "version 2": (version_2, NO_STORE),
     "no attributes": (attributes(sweep=None), NO_STORE),
     "no hash": (attributes(sweep_sha256=None), NO_STORE),
-    "format 3": (attributes(format=3), "has format 3; this program reads up to 2"),
+    "format 4": (attributes(format=4), "has format 4; this program reads up to 3"),
     "format text": (attributes(format="2"), "has format 2; this program"),
+    "format list": (attributes(format=[2]), r"has format \[2\]; this program"),
+    "other definition": (attributes(metrics_definition="x"), NO_STORE),
+    "definition list": (attributes(metrics_definition=["motion"]), NO_STORE),
+    "no definition": (attributes(metrics_definition=None), NO_STORE),
+    "old format, new metrics": (attributes(format=2), NO_STORE),
     "dtype": (attributes(dtype="object"), NO_STORE),
     "block of 0": (attributes(block_cells=0), NO_STORE),
     "block of words": (attributes(block_cells="many"), NO_STORE),
