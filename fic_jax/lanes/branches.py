@@ -57,11 +57,11 @@ def _only_for(selects: Sequence[Node], roots: set[Node], users: Users) -> dict[N
     waiting = list(selects)
     while waiting:
         for node in waiting.pop().args:
-            movable = node.scope is scope and node.args and node not in roots
-            if movable and node not in inside:
-                if all(u in inside and _for_rare_arm(node, u, selects) for u in users[node]):
-                    inside[node] = None
-                    waiting.append(node)
+            if node in inside or node.scope is not scope or not node.args or node in roots:
+                continue
+            if all(u in inside and _for_rare_arm(node, u, selects) for u in users[node]):
+                inside[node] = None
+                waiting.append(node)
     return inside
 
 
