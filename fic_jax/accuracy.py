@@ -1,6 +1,7 @@
 """Error estimates: the difference between metrics and their limit for dt -> 0."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -70,13 +71,13 @@ def evaluate_with_error(
 
 
 def estimated(
-    p: Params, model: Model, dt: Scalar, n_steps: int, unroll: int = 1
+    p: Params, model: Model, dt: Scalar, n_steps: int, run: Any = compiled_evaluate
 ) -> tuple[Metrics, Metrics]:
-    """`evaluate_with_error` on canonical numbers; `unroll` as in `compiled_evaluate`."""
-    metrics = compiled_evaluate(p, model, dt, n_steps, unroll=unroll)
+    """`evaluate_with_error` on canonical numbers; `run` makes the metrics of a run."""
+    metrics = run(p, model, dt, n_steps)
     change = CHANGE[jnp.finfo(p.K0.dtype).bits]
     nearby = {name: getattr(p, name) * (1.0 + part * change) for name, part in CHANGES.items()}
-    companion = compiled_evaluate(replace(p, **nearby), model.with_events(), dt, n_steps, 2)
+    companion = run(replace(p, **nearby), model.with_events(), dt, n_steps, finer=2)
     return metrics, difference(metrics, companion, model)
 
 
@@ -101,7 +102,8 @@ def trusted(metrics: Metrics, errors: Metrics, t_end: Scalar) -> Metrics:
     """
 
     def within(name: str) -> Scalar:
-        value, error = getattr(metrics, name), getattr(errors, name)
+        error = jnp.asarray(getattr(errors, name))
+        value = jnp.asarray(getattr(metrics, name)).astype(error.dtype)
         bound = TRUST[name].error(jnp.where(jnp.isfinite(value), value, 0.0), t_end)
         return errors.finite & (error <= bound)
 

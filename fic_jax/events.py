@@ -1,20 +1,19 @@
-"""One plant step by RK4 with its switches located inside it.
+"""The motion from switch to switch: RK4 with its switches located inside the plant step.
 
 The law switches at v = 0, e = 0, |e| = x0, |e| = xb and where the torque meets its limit, the
-environment at x = gap. The step goes from switch to switch: a piece of the closed loop (piece.py)
-ends where its path crosses to the next one.
+environment at x = gap. A piece of the closed loop (piece.py) ends where its path crosses to the
+next one, or with the plant step.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
 
-from fic_jax.controller import REST_BAND, Attractor, Slopes, peak_error_after
+from fic_jax.controller import REST_BAND, Attractor, Slopes
 from fic_jax.lanes.hints import where_rare
 from fic_jax.params import Model, Params, Scalar
 from fic_jax.piece import Arrival, Path, Piece, enter, fast, path_of, swept
-from fic_jax.rk4 import Motion
 
 # Pieces of a plant step. The last one lasts to the end of the step: a switch that it passes acts at
 # the next step, an error of first order.
@@ -26,58 +25,58 @@ INSIDE_BAND = (1.0 - 1e-7) * REST_BAND
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Events:
-    """What the metrics need of a plant step beyond its integrals."""
+class Interval:
+    """What happens in a plant step, or between two switches of it, and its end.
 
-    began: Scalar  # bool: the branch at its start, true if diverging
-    highest: Scalar  # N*m, largest tau_env
-    lowest: Scalar  # N*m, smallest tau_env
-    contact: Scalar  # part of the step in contact
-    touch: Scalar  # part of the step before its first contact
-    switches: Scalar  # of the branch, int32
+    T is tau_env. Means are over the plant step, so that those of its intervals add up.
+    """
+
+    x: Scalar  # rad, at the end
+    v: Scalar  # rad/s, at the end
+    tau: Scalar  # N*m, at the end
+    T: Scalar  # N*m, at the end
+    attractor: Attractor
+    part: Scalar  # of the plant step that it takes
+    ends_step: Scalar  # bool
+    work: Scalar  # J
+    error: Scalar  # N*m, mean of T - Td
+    square: Scalar  # (N*m)^2, mean of (T - Td)^2
+    highest: Scalar  # N*m, largest T
+    lowest: Scalar  # N*m, smallest T
+    touches: Scalar  # bool
+    since: Scalar  # part of the plant step before its contact
 
 
-Passage = tuple[Motion, Events, Attractor]  # the end of some pieces, and what happened on the way
-
-
-def advance_located(
+def advance_to_switch(
     p: Params,
-    start: Motion,
+    x: Scalar,
+    v: Scalar,
     x_h: Scalar,
     e_M: Scalar,
     known: Slopes | None,
+    passed: Scalar,
+    last: Scalar,
     model: Model,
     dt: Scalar,
-) -> Passage:
-    """One plant step of `dt` seconds, after the peak error `e_M` (rad)."""
-    a = enter(p, start.x, start.v, x_h, e_M, known, model)
-    return _to_end(p, a, x_h, model, dt, PIECES)
+) -> Interval:
+    """The motion up to the next switch, at most to the end of the plant step.
 
-
-def _to_end(p: Params, a: Piece, x_h: Scalar, model: Model, h: Scalar, pieces: int) -> Passage:
-    """The motion over the next h seconds, in at most this number of pieces."""
+    `passed` is the part of the plant step of `dt` seconds before it. `last`: up to the end of the
+    step in any case.
+    """
+    a = enter(p, x, v, x_h, e_M, known, model)
+    left = 1.0 - passed
+    h = left * dt
     path = path_of(p, a, h)
     z, u = path.way(), path.speed()
     no = jnp.zeros_like(a.bends)
     whole = Arrival(jnp.ones_like(z), z, u, no, no)
-    there = along(p, a, path, whole, model)
-    if pieces == 1:
-        return there
     lowest, highest = _speeds(a, model)
     leaves = (u < lowest) | (z > a.ahead) | (z > a.wall) | (a.slope * z > a.slack) | fast(p, a, h)
     if model.divergence == "velocity_band":
         leaves = leaves | (u > highest)
-
-    def onward() -> Passage:
-        end = arrival(p, a, path, whole, model)
-        first = along(p, a, path, end, model)
-        left = h - end.part * h
-        x, v = first[0].x, first[0].v
-        e_M = peak_error_after(a.attractor, x_h - x)
-        b = enter(p, x, v, x_h, e_M, a.attractor.slopes, model)
-        return _joined(first, end.part, _to_end(p, b, x_h, model, left, pieces - 1))
-
-    return where_rare(leaves, onward, there)
+    end = where_rare(leaves & ~last, lambda: arrival(p, a, path, whole, model), whole)
+    return along(p, a, path, end, left, passed, model)
 
 
 def _speeds(a: Piece, model: Model) -> tuple[Scalar, Scalar]:
@@ -89,32 +88,9 @@ def _speeds(a: Piece, model: Model) -> tuple[Scalar, Scalar]:
     return jnp.where(diverging, 0.0, REST_BAND), jnp.where(inside, REST_BAND, jnp.inf)
 
 
-def _joined(first: Passage, part: Scalar, then: Passage) -> Passage:
-    """A piece that took this part of the time, and those after it."""
-    (m, seen, _), (end, later, attractor) = first, then
-    rest = 1.0 - part
-
-    def mean(a: Scalar, b: Scalar) -> Scalar:
-        return part * a + rest * b
-
-    motion = replace(
-        end,
-        work=m.work + end.work,
-        error=mean(m.error, end.error),
-        square=mean(m.square, end.square),
-    )
-    events = Events(
-        began=seen.began,
-        highest=jnp.maximum(seen.highest, later.highest),
-        lowest=jnp.minimum(seen.lowest, later.lowest),
-        contact=mean(seen.contact, later.contact),
-        touch=jnp.where(seen.contact > 0.0, 0.0, part + rest * later.touch),
-        switches=(seen.began != later.began).astype(jnp.int32) + later.switches,
-    )
-    return motion, events, attractor
-
-
-def along(p: Params, a: Piece, path: Path, end: Arrival, model: Model) -> Passage:
+def along(
+    p: Params, a: Piece, path: Path, end: Arrival, left: Scalar, passed: Scalar, model: Model
+) -> Interval:
     """The motion along a piece.
 
     tau_env is known with its first two derivatives at both ends. So the means have order six
@@ -146,20 +122,26 @@ def along(p: Params, a: Piece, path: Path, end: Arrival, model: Model) -> Passag
     counts = (r0 * r1 < 0.0) & (jnp.abs(r0 - r1) > 1e-3 * jnp.abs(tau_env))
     top = a.s * where_rare(counts, parabola, tau_env)
     T0, T1 = a.s * a.tau_env, a.s * tau_env
-    touches = a.touches.astype(z.dtype)
+    part = left * end.part
     x = a.x + a.s * z
     if model.contact != "welded":
         x = jnp.where(end.at_wall, p.gap, x)
-    motion = Motion(x, a.s * u, work, a.s * error, square)
-    events = Events(
-        began=a.attractor.diverging,
+    return Interval(
+        x=x,
+        v=a.s * u,
+        tau=a.s * tau,
+        T=T1,
+        attractor=a.attractor,
+        part=part,
+        ends_step=~end.switches,
+        work=work,
+        error=part * a.s * error,
+        square=part * square,
         highest=jnp.maximum(jnp.maximum(T0, T1), top),
         lowest=jnp.minimum(jnp.minimum(T0, T1), top),
-        contact=touches,
-        touch=1.0 - touches,
-        switches=jnp.zeros_like(z, jnp.int32),
+        touches=a.touches,
+        since=passed,
     )
-    return motion, events, a.attractor
 
 
 def _law_at(p: Params, a: Piece, z: Scalar) -> tuple[Scalar, Scalar, Scalar]:

@@ -29,7 +29,7 @@ def explore(
     model: Model,
     dt: Scalar,
 ) -> tuple[jax.Array, jax.Array]:
-    """The reference x_h (rad) of this plant step, and the plant steps until the next tick.
+    """The reference x_h (rad) of this plant step, and the plant steps up to the next tick.
 
     On a tick, with F = `measured` (N*m) and F != Td (Algorithm 2):
         x_h <- xd + Td/K0                              while it expects contact
@@ -41,5 +41,4 @@ def explore(
     searched = x_h + p.sigma / p.K0 * (p.Td - measured)
     target = jnp.where(expects_contact(x, p, model), expected_reference(p), searched)
     x_h = jnp.where(ticks & (measured != p.Td), target, x_h)
-    countdown = jnp.where(ticks, steps_per_period(p.period, dt), countdown) - 1
-    return x_h, countdown
+    return x_h, jnp.where(ticks, steps_per_period(p.period, dt), countdown)

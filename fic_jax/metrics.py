@@ -14,11 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from fic_jax.environment import in_contact, interaction_torque
-from fic_jax.events import Events
+from fic_jax.events import Interval
 from fic_jax.lanes.hints import where_rare
 from fic_jax.params import Model, Params, Scalar
-from fic_jax.rk4 import Motion
-from fic_jax.simulation import Sample, checked, init, plant_step, with_slopes
+from fic_jax.simulation import Progress, checked, init, plant_step, step_to_switch, with_slopes
 
 SETTLING_BAND = 0.05  # the torque has converged while |T/T_n - 1| is at most this
 SETTLED_PART = 0.05  # of the run, at least, that a torque which has converged stays in the band
@@ -80,7 +79,7 @@ class Accumulator:
     touched: Scalar  # instant of the first touch, inf before
     contact: Sum  # duration of contact
     switches: Scalar  # of the branch, so far
-    diverging: Scalar  # branch at the end of the last step
+    branch: Scalar  # int32, 1 if diverging
 
 
 def reachable(p: Params) -> jax.Array:
@@ -109,8 +108,9 @@ def empty(p: Params, model: Model) -> Accumulator:
         lowest=jnp.minimum(T, zero),
         touched=jnp.where(in_contact(p.x_init, p, model), zero, never),
         contact=sum_,
-        switches=jnp.zeros_like(p.Td, jnp.int32),
-        diverging=jnp.ones_like(p.Td, bool),
+        # the first branch is another one than -1, and counts as a switch
+        switches=jnp.full_like(p.Td, -1, jnp.int32),
+        branch=jnp.full_like(p.Td, -1, jnp.int32),
     )
 
 
@@ -120,19 +120,9 @@ def begin_tail(acc: Accumulator) -> Accumulator:
     return dataclasses.replace(acc, square_head=acc.square.total, square=none, error=none)
 
 
-def update(
-    acc: Accumulator,
-    sample: Sample,
-    motion: Motion,
-    events: Events,
-    k: Scalar,
-    tail: int,
-    p: Params,
-    model: Model,
-) -> Accumulator:
-    """Add plant step k (counted from 0); the second half begins with step `tail`."""
-    acc = where_rare(k == tail, lambda: begin_tail(acc), acc)
-    T, at = sample.tau_env, k.astype(acc.T.dtype)
+def update(acc: Accumulator, interval: Interval, k: Scalar, p: Params, model: Model) -> Accumulator:
+    """Add an interval of plant step k (counted from 0)."""
+    ends, T, at = interval.ends_step, interval.T, k.astype(acc.T.dtype)
     far, last = deviation(T, p), acc.settled
     inside = jnp.abs(far) <= SETTLING_BAND  # false for NaN
 
@@ -142,23 +132,24 @@ def update(
         way = before - jnp.where(before > 0.0, SETTLING_BAND, -SETTLING_BAND)
         return at + way / jnp.where(before == far, 1.0, before - far)
 
-    settled = where_rare(inside & (last == jnp.inf), entry, last)
-    touches = (acc.touched == jnp.inf) & (events.contact > 0.0)
+    # samples are the ends of plant steps
+    settled = where_rare(inside & ends & (last == jnp.inf), entry, last)
+    touches = (acc.touched == jnp.inf) & interval.touches
     pulls = model.contact != "hard_stop"
-    changed = (events.began != acc.diverging) & (k > 0)
+    branch = interval.attractor.diverging.astype(jnp.int32)
     return Accumulator(
         square_head=acc.square_head,
-        square=acc.square.plus(motion.square),
-        error=acc.error.plus(motion.error),
-        work=acc.work.plus(motion.work),
-        settled=jnp.where(inside, settled, jnp.inf),
-        T=T,
-        highest=jnp.maximum(acc.highest, events.highest),
-        lowest=jnp.minimum(acc.lowest, events.lowest) if pulls else acc.lowest,
-        touched=jnp.where(touches, at + events.touch, acc.touched),
-        contact=acc.contact.plus(events.contact),
-        switches=acc.switches + events.switches + changed.astype(jnp.int32),
-        diverging=sample.diverging,
+        square=acc.square.plus(interval.square),
+        error=acc.error.plus(interval.error),
+        work=acc.work.plus(interval.work),
+        settled=jnp.where(ends & ~inside, jnp.inf, settled),
+        T=jnp.where(ends, T, acc.T),
+        highest=jnp.maximum(acc.highest, interval.highest),
+        lowest=jnp.minimum(acc.lowest, interval.lowest) if pulls else acc.lowest,
+        touched=jnp.where(touches, at + interval.since, acc.touched),
+        contact=acc.contact.plus(jnp.where(interval.touches, interval.part, 0.0)),
+        switches=acc.switches + (branch != acc.branch).astype(jnp.int32),
+        branch=branch,
     )
 
 
@@ -223,9 +214,38 @@ def compiled_evaluate(
 
     def body(k: jax.Array, carry: Any) -> Any:
         state, acc = carry
-        state, sample, motion, events = plant_step(p, state, model, h)
-        return state, update(acc, sample, motion, events, k, tail, p, model)
+        acc = where_rare(k == tail, lambda: begin_tail(acc), acc)
+
+        def see(acc: Accumulator, interval: Interval) -> Accumulator:
+            return update(acc, interval, k, p, model)
+
+        return plant_step(p, state, model, h, see, acc)
 
     start = (with_slopes(p, init(p, model)), empty(p, model))
     state, acc = jax.lax.fori_loop(np.int32(0), np.int32(n), body, start, unroll=unroll)
+    return finish(acc, state.x, state.v, n, tail, p, h)
+
+
+def evaluated_by_intervals(
+    p: Params, model: Model, dt: jax.Array, n_steps: int, finer: int = 1
+) -> Metrics:
+    """`evaluate` with located switches for many scenarios side by side: not differentiable.
+
+    An iteration is an interval, not a plant step: one that ends at a switch holds up only its own
+    scenario, and each scenario takes as many as it needs.
+    """
+    h, n, tail = dt / finer, finer * n_steps, finer * (n_steps // 2)
+
+    def body(carry: Any) -> Any:
+        state, progress, acc = carry
+        begins = (state.k == tail) & (progress.pieces == 0)
+        acc = where_rare(begins, lambda: begin_tail(acc), acc)
+        after, progress, interval = step_to_switch(p, state, progress, model, h)
+        return after, progress, update(acc, interval, state.k, p, model)
+
+    def unfinished(carry: Any) -> Any:
+        return carry[0].k < np.int32(n)
+
+    start = (with_slopes(p, init(p, model)), Progress.none(p.x_init), empty(p, model))
+    state, _, acc = jax.lax.while_loop(unfinished, body, start)
     return finish(acc, state.x, state.v, n, tail, p, h)

@@ -1,9 +1,10 @@
 """One plant step of one scenario, a rollout of many steps, and the controller alone."""
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +18,9 @@ from fic_jax.controller import (
     torque,
 )
 from fic_jax.environment import in_contact, interaction_torque
-from fic_jax.events import Events, advance_located
+from fic_jax.events import PIECES, Interval, advance_to_switch
 from fic_jax.exploration import expected_reference, explore
+from fic_jax.lanes.hints import where_rare
 from fic_jax.params import Model, Params, Scalar, canonical, check, check_scalars, strong
 from fic_jax.rk4 import Motion, advance
 
@@ -107,7 +109,7 @@ def decide(
     e = x_h - x
     diverging = diverges(e, v, memory.e_last, model)
     attractor = begin_branch(e, diverging, memory.e_M, p, model, memory.slopes)
-    return _remembered(memory, x_h, countdown, attractor.e_M, e, attractor), attractor
+    return _remembered(memory, x_h, countdown - 1, attractor.e_M, e, attractor), attractor
 
 
 def _remembered(
@@ -117,71 +119,120 @@ def _remembered(
     return Memory(x_h, e_M, jnp.abs(e), countdown, slopes)
 
 
-def plant_step(
-    p: Params, state: State, model: Model, dt: Scalar
-) -> tuple[State, Sample, Motion, Events]:
-    """Explore, decide, advance, measure. `p` and `dt` are canonical (see `step`).
+def step_at_once(p: Params, state: State, model: Model, dt: Scalar) -> tuple[State, Interval]:
+    """Explore, decide, advance, measure: a plant step of rk4, one interval."""
+    memory, attractor = decide(p, state.memory, state.x, state.v, state.measured, model, dt)
+    motion = advance(p, Motion.at(state.x, state.v), memory.x_h, attractor, model, dt)
+    x, v, one = motion.x, motion.v, jnp.ones_like(motion.x)
+    T = interaction_torque(x, v, p, model)
+    interval = Interval(
+        x=x,
+        v=v,
+        tau=torque(memory.x_h - x, attractor, p),
+        T=T,
+        attractor=attractor,
+        part=one,
+        ends_step=jnp.ones_like(x, bool),
+        work=motion.work,
+        error=motion.error,
+        square=motion.square,
+        highest=T,
+        lowest=T,
+        touches=in_contact(x, p, model),
+        since=one,  # the end of its step
+    )
+    return _after(state.k + 1, memory, interval, model), interval
 
-    Also returns the integrals over the step and its events, for the metrics.
-    """
-    k, start = state.k + 1, Motion.at(state.x, state.v)
-    if model.integrator == "rk4":
-        memory, attractor = decide(p, state.memory, state.x, state.v, state.measured, model, dt)
-        motion = advance(p, start, memory.x_h, attractor, model, dt)
-        state, sample = _measure(p, k, memory, attractor, motion, model, dt)
-        return state, sample, motion, _at_its_end(p, attractor, sample, model)
-    memory, attractor, motion, events = _decide_and_advance_located(p, state, start, model, dt)
-    state, sample = _measure(p, k, memory, attractor, motion, model, dt)
-    return state, sample, motion, events
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Progress:
+    """How far a plant step with located switches has come."""
+
+    passed: Scalar  # part of the step
+    pieces: Scalar  # int32
+
+    @classmethod
+    def none(cls, like: Scalar) -> "Progress":
+        """Between two plant steps."""
+        return cls(jnp.zeros_like(like), jnp.zeros_like(like, jnp.int32))
 
 
-def _decide_and_advance_located(
-    p: Params, state: State, start: Motion, model: Model, dt: Scalar
-) -> tuple[Memory, Attractor, Motion, Events]:
-    """`decide` and advance in one: each piece of a located step decides its own branch."""
+def step_to_switch(
+    p: Params, state: State, progress: Progress, model: Model, dt: Scalar
+) -> tuple[State, Progress, Interval]:
+    """Explore, decide, advance, measure up to the next switch, at most to the end of the step."""
     last = state.memory
     x_h, countdown = explore(last.x_h, last.countdown, state.x, state.measured, p, model, dt)
     e, e_M = x_h - state.x, last.e_M
     if model.divergence == "error_rate":  # by the tick; within a step the sign of e v decides
         e_M = jnp.where(diverges(e, state.v, last.e_last, model), e, e_M)
-    motion, events, attractor = advance_located(p, start, x_h, e_M, last.slopes, model, dt)
-    e = x_h - motion.x
-    e_M = peak_error_after(attractor, e)
-    return _remembered(last, x_h, countdown, e_M, e, attractor), attractor, motion, events
+    final = progress.pieces >= PIECES - 1
+    interval = advance_to_switch(
+        p, state.x, state.v, x_h, e_M, last.slopes, progress.passed, final, model, dt
+    )
+    e, ends = x_h - interval.x, interval.ends_step
+    e_M = peak_error_after(interval.attractor, e)
+    countdown = countdown - ends.astype(jnp.int32)
+    memory = _remembered(last, x_h, countdown, e_M, e, interval.attractor)
+    progress = Progress(
+        jnp.where(ends, 0.0, progress.passed + interval.part),
+        jnp.where(ends, 0, progress.pieces + 1),
+    )
+    return _after(state.k + ends.astype(jnp.int32), memory, interval, model), progress, interval
 
 
-def _at_its_end(p: Params, attractor: Attractor, sample: Sample, model: Model) -> Events:
-    """The events of a step that is seen at its end only."""
-    touches = in_contact(sample.x, p, model).astype(sample.x.dtype)
-    none = jnp.zeros_like(touches, jnp.int32)
-    T, whole = sample.tau_env, jnp.ones_like(touches)
-    return Events(attractor.diverging, T, T, contact=touches, touch=whole, switches=none)
+def _after(k: Scalar, memory: Memory, interval: Interval, model: Model) -> State:
+    measured = interval.T if model.feedback == "interaction" else interval.tau
+    return State(k, interval.x, interval.v, measured, memory)
 
 
-def _measure(
+Seen = TypeVar("Seen")
+
+
+def plant_step(
     p: Params,
-    k: Scalar,
-    memory: Memory,
-    attractor: Attractor,
-    motion: Motion,
+    state: State,
     model: Model,
     dt: Scalar,
-) -> tuple[State, Sample]:
-    """The state after plant step k (counted from 1), and its signals."""
-    x, v = motion.x, motion.v
-    e = memory.x_h - x
-    tau, tau_env = torque(e, attractor, p), interaction_torque(x, v, p, model)
-    measured = tau_env if model.feedback == "interaction" else tau
-    t = k.astype(dt.dtype) * dt
-    diverging = attractor.diverging
-    sample = Sample(t, x, v, memory.x_h, e, memory.e_M, diverging, tau, tau_env, motion.work)
-    return State(k, x, v, measured, memory), sample
+    see: Callable[[Seen, Interval], Seen],
+    seen: Seen,
+) -> tuple[State, Seen]:
+    """The state after a plant step, and `seen = see(seen, interval)` for each of its intervals.
+
+    `p` and `dt` are canonical (see `step`).
+    """
+    if model.integrator == "rk4":
+        state, interval = step_at_once(p, state, model, dt)
+        return state, see(seen, interval)
+
+    def one(state: State, progress: Progress, seen: Seen) -> tuple[State, Progress, Seen]:
+        state, progress, interval = step_to_switch(p, state, progress, model, dt)
+        return state, progress, see(seen, interval)
+
+    carry = one(state, Progress.none(state.x), seen)
+    for _ in range(1, PIECES):
+        carry = where_rare(carry[1].pieces > 0, partial(one, *carry), carry)
+    return carry[0], carry[2]
 
 
-@partial(jax.jit, static_argnames="model")
-def compiled_step(p: Params, state: State, model: Model, dt: Scalar) -> tuple[State, Sample]:
-    """`step` on canonical numbers."""
-    return plant_step(p, state, model, dt)[:2]
+def sampled_step(p: Params, state: State, model: Model, dt: Scalar) -> tuple[State, Sample]:
+    """The state after a plant step, and its signals."""
+    none = jnp.zeros_like(state.x)
+    nothing = Attractor(jnp.ones_like(none, bool), none, Slopes(none, none, none))
+
+    def see(seen: tuple[Scalar, Attractor, Scalar, Scalar], interval: Interval) -> Any:
+        return seen[0] + interval.work, interval.attractor, interval.tau, interval.T
+
+    state, (work, attractor, tau, T) = plant_step(
+        p, state, model, dt, see, (none, nothing, none, none)
+    )
+    memory, t = state.memory, state.k.astype(dt.dtype) * dt
+    e, diverging = memory.x_h - state.x, attractor.diverging
+    return state, Sample(t, state.x, state.v, memory.x_h, e, memory.e_M, diverging, tau, T, work)
+
+
+compiled_step = jax.jit(sampled_step, static_argnames="model")
 
 
 def canonical_with(params: Params, dt: Scalar) -> tuple[Params, Scalar]:
@@ -261,6 +312,6 @@ def compiled_rollout(p: Params, model: Model, dt: Scalar, n_steps: int) -> Sampl
     """`rollout` on canonical numbers."""
     start = with_slopes(p, init(p, model))
     _, samples = jax.lax.scan(
-        lambda state, _: plant_step(p, state, model, dt)[:2], start, length=n_steps
+        lambda state, _: sampled_step(p, state, model, dt), start, length=n_steps
     )
     return samples

@@ -10,7 +10,7 @@ import numpy as np
 
 from fic_jax.engine.sweeping import length
 from fic_jax.params import QUANTITIES, Model, Params, ParamsError, check, check_count
-from fic_jax.simulation import SIGNALS, Sample, State, init, plant_step, with_slopes
+from fic_jax.simulation import SIGNALS, Sample, State, init, sampled_step, with_slopes
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -94,10 +94,10 @@ def _after(
     """The state after some plant steps, and the last one's sample, with the work of all."""
 
     def body(_: jax.Array, carry: tuple[State, Sample]) -> tuple[State, Sample]:
-        state, sample, *_ = plant_step(p, carry[0], model, dt)
+        state, sample = sampled_step(p, carry[0], model, dt)
         return state, dataclasses.replace(sample, work=carry[1].work + sample.work)
 
-    first = plant_step(p, state, model, dt)[:2]
+    first = sampled_step(p, state, model, dt)
     if steps == 1:
         return first
     after: tuple[State, Sample] = jax.lax.fori_loop(1, steps, body, first)

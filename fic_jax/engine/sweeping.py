@@ -16,13 +16,13 @@ from fic_jax.engine.tuning import threads
 from fic_jax.engine.xla import in_blocks
 from fic_jax.lanes import Untranslatable, lane_map
 from fic_jax.lanes.sources import digest
-from fic_jax.metrics import Metrics, blank, compiled_evaluate
+from fic_jax.metrics import Metrics, blank, compiled_evaluate, evaluated_by_intervals
 from fic_jax.params import QUANTITIES, Model, Params, ParamsError, check
 
 Backend = Literal["auto", "lanes", "xla", "pallas"]
-# Samples in one iteration of XLA's time loop: two are 1.2 times faster than one, more only take
-# longer to compile; a located step is long enough by itself.
-UNROLL = {"rk4": 2, "rk4_events": 1}
+# Steps of rk4 in one iteration of XLA's time loop: two are 1.2 times faster than one, more only
+# take longer to compile.
+UNROLL = 2
 
 # What a user loses where "auto" cannot use the fast backend.
 SLOWER = {
@@ -191,7 +191,7 @@ def _by_jax(
     devices: Sequence[jax.Device],
 ) -> Program:
     """XLA's program or Pallas' kernel."""
-    unroll = UNROLL[model.integrator] if backend == "xla" else 1
+    unroll = UNROLL if backend == "xla" else 1
     one = scenario(model, n_steps, error_estimate, unroll)
     if backend == "pallas" and devices[0].platform != "gpu":
         backend = "interpreted"
@@ -200,11 +200,17 @@ def _by_jax(
 
 def scenario(model: Model, n_steps: int, error_estimate: bool, unroll: int = 1) -> Any:
     """The function of one scenario, from its column of quantities and dt to its result."""
-    one = estimated if error_estimate else compiled_evaluate
+
+    def run(p: Params, model: Model, dt: jax.Array, n_steps: int, finer: int = 1) -> Metrics:
+        if model.integrator == "rk4":
+            return compiled_evaluate(p, model, dt, n_steps, finer, unroll)
+        return evaluated_by_intervals(p, model, dt, n_steps, finer)
 
     def of_column(column: Sequence[jax.Array], dt: jax.Array) -> Any:
         params = Params(**dict(zip(QUANTITIES, column, strict=True)))
-        return one(params, model, dt, n_steps, unroll=unroll)
+        if error_estimate:
+            return estimated(params, model, dt, n_steps, run)
+        return run(params, model, dt, n_steps)
 
     return of_column
 

@@ -110,7 +110,8 @@ class _Writer:
         carried = [build.phi(init.type) for init in inits]
         for phi, value in zip(phis, carried, strict=True):
             self.define(phi, value)
-        self.compute(loop.outs[i] for i in sorted({n.value for n in (*phis, *results)}))
+        needed = sorted({n.value for n in (*phis, *results)})
+        self.compute([*(loop.outs[i] for i in needed), *loop.until()])
         outs = [self.get(loop.outs[p.value], p.uniform) for p in phis]
         last = [self.get(loop.outs[r.value], r.uniform) for r in results]
         following = build.add(k, INT32(1))
@@ -118,7 +119,11 @@ class _Writer:
         for value, start, out in zip([k, *carried], starts, nexts, strict=True):
             value.add_incoming(start, before)
             value.add_incoming(out, build.block)
-        build.cbranch(build.icmp_signed("<", following, INT32(loop.length)), body, after)
+        if loop.goes_on:
+            another = self.instructions.any_lane(self.get(loop.goes_on, loop.goes_on.uniform))
+        else:
+            another = build.icmp_signed("<", following, INT32(loop.length))
+        build.cbranch(another, body, after)
         build.position_at_end(after)
         for result, value in zip(results, last, strict=True):
             self.define(result, value)

@@ -34,9 +34,13 @@ class Scope:
 
 @dataclass(eq=False)
 class Loop(Scope):
-    """A loop of known length: the `outs` of an iteration are the `phis` of the next."""
+    """A loop: the `outs` of an iteration are the `phis` of the next.
 
-    length: int = 1
+    Of known length, or as long as a lane `goes_on`; one that does not keeps its numbers.
+    """
+
+    length: int = 0
+    goes_on: "Node | None" = None
     inits: "list[Node]" = field(default_factory=list)
     phis: "list[Node]" = field(default_factory=list)
 
@@ -46,12 +50,18 @@ class Loop(Scope):
 
     def makes(self, i: int) -> "tuple[Node, ...]":
         """The nodes that phi and result i depend on."""
-        return self.outs[i], self.inits[i]
+        return self.outs[i], self.inits[i], *self.until()
+
+    def until(self) -> "tuple[Node, ...]":
+        """The node that decides about another iteration, if it is not their number."""
+        return (self.goes_on,) if self.goes_on else ()
 
     def replace(self, instead: "dict[Node, Node]") -> None:
         """Use other nodes."""
         self.outs = [instead.get(n, n) for n in self.outs]
         self.inits = [instead.get(n, n) for n in self.inits]
+        if self.goes_on:
+            self.goes_on = instead.get(self.goes_on, self.goes_on)
 
 
 @dataclass(eq=False)

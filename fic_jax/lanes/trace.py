@@ -61,8 +61,8 @@ def translated(graph: Graph, eqn: Any, args: list[Node], scope: Scope | None) ->
         hint = next(graph.ids)  # outer hints have smaller numbers
         outs = inlined(graph, params.get("jaxpr") or params["call_jaxpr"], args, scope)
         return [hinted(graph, n, hint) for n in outs] if params.get("name") == RARE else outs
-    if name == "scan":
-        return looped(graph, eqn, args, scope)
+    if name in LOOPS:
+        return LOOPS[name](graph, eqn, args, scope)
     by_index = name == "select_n" and (len(args) > 3 or args[0].kind != "b")
     if len(eqn.outvars) != 1 or by_index:
         raise Untranslatable(f"the operation {name} with {len(args)} operands")
@@ -89,15 +89,54 @@ def looped(graph: Graph, eqn: Any, args: list[Node], outer: Scope | None) -> lis
     if not 0 < params["length"] < 2**31:
         raise Untranslatable(f"a loop of {params['length']} iterations")
     consts, inits = args[: params["num_consts"]], args[params["num_consts"] :]
+
+    def write(loop: Loop) -> None:
+        loop.length = params["length"]
+        loop.outs = inlined(graph, params["jaxpr"], [*consts, *loop.phis], loop)
+
+    return _results(graph, inits, outer, write)
+
+
+def repeated(graph: Graph, eqn: Any, args: list[Node], outer: Scope | None) -> list[Node]:
+    """The results of a `while_loop` without arrays: a lane that has finished keeps its numbers."""
+    params = eqn.params
+    if any(atom.aval.ndim for atom in (*eqn.invars, *eqn.outvars)):
+        raise Untranslatable("a while loop over arrays")
+    n, m = params["cond_nconsts"], params["body_nconsts"]
+    of_condition, of_body, inits = args[:n], args[n : n + m], args[n + m :]
+
+    def goes_on(values: Sequence[Node], loop: Loop) -> Node:
+        (node,) = inlined(graph, params["cond_jaxpr"], [*of_condition, *values], loop)
+        return node
+
+    def write(loop: Loop) -> None:
+        computed = inlined(graph, params["body_jaxpr"], [*of_body, *loop.phis], loop)
+        runs = goes_on(loop.phis, loop)
+        loop.outs = [
+            graph.node("select_n", (runs, phi, out), phi.kind)
+            for phi, out in zip(loop.phis, computed, strict=True)
+        ]
+        loop.goes_on = goes_on(loop.outs, loop)
+
+    return _results(graph, inits, outer, write)
+
+
+LOOPS = {"scan": looped, "while": repeated}
+
+
+def _results(
+    graph: Graph, inits: Sequence[Node], outer: Scope | None, write: Callable[[Loop], None]
+) -> list[Node]:
+    """The results of a loop whose iteration `write` writes from its phis."""
     assumed: list[bool] | None = None
     uniform = [init.uniform for init in inits]
     while uniform != assumed:  # a carried value is uniform if it is so after an iteration too
-        assumed, loop = uniform, Loop(outer, length=params["length"], inits=inits)
+        assumed, loop = uniform, Loop(outer, inits=list(inits))
         loop.phis = [
             graph.place("phi", init.kind, i, uniform=same, scope=loop, of=loop)
             for i, (init, same) in enumerate(zip(inits, assumed, strict=True))
         ]
-        loop.outs = inlined(graph, params["jaxpr"], [*consts, *loop.phis], loop)
+        write(loop)
         uniform = [u and out.uniform for u, out in zip(assumed, loop.outs, strict=True)]
     return [
         graph.place("result", phi.kind, i, uniform=phi.uniform, scope=outer, of=loop)
