@@ -10,10 +10,21 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from fic_jax.controller import REST_BAND, Attractor, Slopes
+from fic_jax.controller import REST_BAND, Slopes, converging_slopes
 from fic_jax.lanes.hints import where_rare
 from fic_jax.params import Model, Params, Scalar
-from fic_jax.piece import Arrival, Path, Piece, enter, fast, path_of, swept
+from fic_jax.piece import (
+    SLOWEST,
+    Arrival,
+    Path,
+    Piece,
+    enter,
+    fast,
+    heading,
+    path_of,
+    swept,
+    whole,
+)
 
 # Pieces of a plant step. The last one lasts to the end of the step: a switch that it passes acts at
 # the next step, an error of first order.
@@ -35,7 +46,9 @@ class Interval:
     v: Scalar  # rad/s, at the end
     tau: Scalar  # N*m, at the end
     T: Scalar  # N*m, at the end
-    attractor: Attractor
+    e_M: Scalar  # rad, after it
+    slopes: Slopes  # of the last converging branch, or of one that begins now
+    diverging: Scalar  # bool, within it
     part: Scalar  # of the plant step that it takes
     ends_step: Scalar  # bool
     work: Scalar  # J
@@ -66,17 +79,49 @@ def advance_to_switch(
     """
     a = enter(p, x, v, x_h, e_M, known, model)
     left = 1.0 - passed
-    h = left * dt
-    path = path_of(p, a, h)
-    z, u = path.way(), path.speed()
-    no = jnp.zeros_like(a.bends)
-    whole = Arrival(jnp.ones_like(z), z, u, no, no)
+    path = path_of(p, a, left * dt)
+    end = whole(path)
     lowest, highest = _speeds(a, model)
-    leaves = (u < lowest) | (z > a.ahead) | (z > a.wall) | (a.slope * z > a.slack) | fast(p, a, h)
+    leaves = (end.z > a.ahead) | (end.z > a.wall) | (a.slope * end.z > a.slack)
+    leaves = leaves | (end.u < lowest) | fast(p, a, path.h)
     if model.divergence == "velocity_band":
-        leaves = leaves | (u > highest)
-    end = where_rare(leaves & ~last, lambda: arrival(p, a, path, whole, model), whole)
-    return along(p, a, path, end, left, passed, model)
+        leaves = leaves | (end.u > highest)
+    to_end = end, _after(a, end, p, model)
+
+    def to_switch() -> tuple[Arrival, _After]:
+        end = arrival(p, a, path, model)
+        return end, _after_switch(a, end, p, x_h, model)
+
+    end, after = where_rare(leaves & ~last, to_switch, to_end)
+    return along(p, a, x_h, path, end, after, left, passed)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class _After:
+    """The joint at the end of a piece."""
+
+    x: Scalar  # rad
+    v: Scalar  # rad/s
+    latches: Scalar  # bool: it has come to rest, the peak error is the error
+    slopes: Slopes
+
+
+def _after(a: Piece, end: Arrival, p: Params, model: Model) -> _After:
+    x = a.x + a.s * end.z
+    if model.contact != "welded":
+        x = jnp.where(end.at_wall, p.gap, x)
+    return _After(x, a.s * end.u, jnp.zeros_like(end.switches), a.attractor.slopes)
+
+
+def _after_switch(a: Piece, end: Arrival, p: Params, x_h: Scalar, model: Model) -> _After:
+    """At rest the direction of what follows is decided at once, and the slopes that it needs."""
+    after = _after(a, end, p, model)
+    e, rests = x_h - after.x, end.by_speed & (end.u == 0.0)
+    v = where_rare(rests, lambda: SLOWEST * heading(p, after.x, e, model), after.v)
+    converges = end.by_speed & (e * v > 0.0)
+    slopes = where_rare(converges, lambda: converging_slopes(e, p, model), after.slopes)
+    return _After(after.x, v, rests, slopes)
 
 
 def _speeds(a: Piece, model: Model) -> tuple[Scalar, Scalar]:
@@ -89,7 +134,14 @@ def _speeds(a: Piece, model: Model) -> tuple[Scalar, Scalar]:
 
 
 def along(
-    p: Params, a: Piece, path: Path, end: Arrival, left: Scalar, passed: Scalar, model: Model
+    p: Params,
+    a: Piece,
+    x_h: Scalar,
+    path: Path,
+    end: Arrival,
+    after: _After,
+    left: Scalar,
+    passed: Scalar,
 ) -> Interval:
     """The motion along a piece.
 
@@ -122,16 +174,15 @@ def along(
     counts = (r0 * r1 < 0.0) & (jnp.abs(r0 - r1) > 1e-3 * jnp.abs(tau_env))
     top = a.s * where_rare(counts, parabola, tau_env)
     T0, T1 = a.s * a.tau_env, a.s * tau_env
-    part = left * end.part
-    x = a.x + a.s * z
-    if model.contact != "welded":
-        x = jnp.where(end.at_wall, p.gap, x)
+    part, attractor = left * end.part, a.attractor
     return Interval(
-        x=x,
-        v=a.s * u,
+        x=after.x,
+        v=after.v,
         tau=a.s * tau,
         T=T1,
-        attractor=a.attractor,
+        e_M=jnp.where(attractor.diverging | after.latches, x_h - after.x, attractor.e_M),
+        slopes=after.slopes,
+        diverging=attractor.diverging,
         part=part,
         ends_step=~end.switches,
         work=work,
@@ -158,19 +209,20 @@ def _law_at(p: Params, a: Piece, z: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     return where_rare(a.bends, bend, affine)
 
 
-def arrival(p: Params, a: Piece, path: Path, whole: Arrival, model: Model) -> Arrival:
+def arrival(p: Params, a: Piece, path: Path, model: Model) -> Arrival:
     """The first switch on the path of a piece, or its end."""
+    z_end, u_end, one = path.way(), path.speed(), jnp.ones_like(path.h)
     lowest, highest = _speeds(a, model)
-    falls = a.slope * whole.z > a.slack
+    falls = a.slope * z_end > a.slack
     limit = jnp.where(falls, a.slack / jnp.where(falls, a.slope, 1.0), jnp.inf)
     to = jnp.minimum(jnp.minimum(a.ahead, limit), a.wall)
-    stops, rises = whole.u < lowest, whole.u > highest
-    by_speed, passes = stops | rises, whole.z > to
+    stops, rises = u_end < lowest, u_end > highest
+    by_speed, passes = stops | rises, z_end > to
     level = jnp.where(rises, highest, lowest) if model.divergence == "velocity_band" else 0.0
     way = jnp.where(passes, to, 0.0)
     rise = jnp.where(by_speed, level - a.u, way)
-    rise_to = jnp.where(by_speed, whole.u - a.u, whole.z)
-    part = root(path, by_speed, rise, rise_to, whole.part)
+    rise_to = jnp.where(by_speed, u_end - a.u, z_end)
+    part = root(path, by_speed, rise, rise_to, one)
     at = path.way(part)
     # the way's switch comes before the speed's
     early = by_speed & (at > to)
@@ -180,16 +232,17 @@ def arrival(p: Params, a: Piece, path: Path, whole: Arrival, model: Model) -> Ar
     passes = early | (passes & ~by_speed)
     by_speed = by_speed & ~early
     switches = passes | by_speed
-    part = jnp.where(switches, part, whole.part)
-    u = jnp.where(passes, path.speed(part), whole.u)
+    part = jnp.where(switches, part, one)
+    u = jnp.where(passes, path.speed(part), u_end)
     if model.divergence == "velocity_band":
         level = jnp.where(stops & (lowest > 0.0), INSIDE_BAND, level)
     located = Arrival(
         part=part,
-        z=jnp.where(passes, way, jnp.where(by_speed, path.way(part), whole.z)),
+        z=jnp.where(passes, way, jnp.where(by_speed, path.way(part), z_end)),
         u=jnp.where(by_speed, level, u),
         switches=switches,
         at_wall=passes & (a.wall <= to),
+        by_speed=by_speed,
     )
     to = jnp.minimum(a.ahead, a.wall)
     return where_rare(fast(p, a, path.h), lambda: swept(p, a, path, to), located)

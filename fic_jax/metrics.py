@@ -136,7 +136,7 @@ def update(acc: Accumulator, interval: Interval, k: Scalar, p: Params, model: Mo
     settled = where_rare(inside & ends & (last == jnp.inf), entry, last)
     touches = (acc.touched == jnp.inf) & interval.touches
     pulls = model.contact != "hard_stop"
-    branch = interval.attractor.diverging.astype(jnp.int32)
+    branch = interval.diverging.astype(jnp.int32)
     return Accumulator(
         square_head=acc.square_head,
         square=acc.square.plus(interval.square),

@@ -64,7 +64,7 @@ def enter(
     e, rest = x_h - x, v == 0.0
 
     def from_rest() -> tuple[Scalar, Scalar, Scalar]:
-        s = _heading(p, x, e, model)
+        s = heading(p, x, e, model)
         return s, s * SLOWEST, e
 
     direction = jnp.where(v < 0.0, -1.0, 1.0).astype(x.dtype)
@@ -119,7 +119,7 @@ def rounding(p: Params) -> Scalar:
     return 4.0 * jnp.finfo(size.dtype).eps * size
 
 
-def _heading(p: Params, x: Scalar, e: Scalar, model: Model) -> Scalar:
+def heading(p: Params, x: Scalar, e: Scalar, model: Model) -> Scalar:
     """The direction in which a joint at rest sets out."""
     yes, none = jnp.ones_like(e, bool), jnp.zeros_like(e)
     tau = torque(e, Attractor(yes, e, Slopes(none, none, none)), p)
@@ -220,6 +220,13 @@ class Arrival:
     u: Scalar  # rad/s
     switches: Scalar  # bool: at a switch, not at the end of the plant step
     at_wall: Scalar  # bool: at that of the environment
+    by_speed: Scalar  # bool: at one of the speed
+
+
+def whole(path: Path) -> Arrival:
+    """The end of a path without a switch."""
+    z, no = path.way(), jnp.zeros_like(path.h, bool)
+    return Arrival(jnp.ones_like(z), z, path.speed(), no, no, no)
 
 
 def swept(p: Params, a: Piece, path: Path, to: Scalar) -> Arrival:
@@ -265,4 +272,5 @@ def swept(p: Params, a: Piece, path: Path, to: Scalar) -> Arrival:
         u=u + late * change,
         switches=reaches,
         at_wall=reaches & (a.wall <= a.ahead),
+        by_speed=jnp.zeros_like(reaches),
     )

@@ -14,7 +14,6 @@ from fic_jax.controller import (
     Slopes,
     begin_branch,
     diverges,
-    peak_error_after,
     torque,
 )
 from fic_jax.environment import in_contact, interaction_torque
@@ -109,14 +108,13 @@ def decide(
     e = x_h - x
     diverging = diverges(e, v, memory.e_last, model)
     attractor = begin_branch(e, diverging, memory.e_M, p, model, memory.slopes)
-    return _remembered(memory, x_h, countdown - 1, attractor.e_M, e, attractor), attractor
+    return _remembered(memory, x_h, countdown - 1, attractor.e_M, e, attractor.slopes), attractor
 
 
 def _remembered(
-    last: Memory, x_h: Scalar, countdown: Scalar, e_M: Scalar, e: Scalar, attractor: Attractor
+    last: Memory, x_h: Scalar, countdown: Scalar, e_M: Scalar, e: Scalar, slopes: Slopes
 ) -> Memory:
-    slopes = None if last.slopes is None else attractor.slopes
-    return Memory(x_h, e_M, jnp.abs(e), countdown, slopes)
+    return Memory(x_h, e_M, jnp.abs(e), countdown, None if last.slopes is None else slopes)
 
 
 def step_at_once(p: Params, state: State, model: Model, dt: Scalar) -> tuple[State, Interval]:
@@ -130,7 +128,9 @@ def step_at_once(p: Params, state: State, model: Model, dt: Scalar) -> tuple[Sta
         v=v,
         tau=torque(memory.x_h - x, attractor, p),
         T=T,
-        attractor=attractor,
+        e_M=memory.e_M,
+        slopes=attractor.slopes,
+        diverging=attractor.diverging,
         part=one,
         ends_step=jnp.ones_like(x, bool),
         work=motion.work,
@@ -172,9 +172,8 @@ def step_to_switch(
         p, state.x, state.v, x_h, e_M, last.slopes, progress.passed, final, model, dt
     )
     e, ends = x_h - interval.x, interval.ends_step
-    e_M = peak_error_after(interval.attractor, e)
     countdown = countdown - ends.astype(jnp.int32)
-    memory = _remembered(last, x_h, countdown, e_M, e, interval.attractor)
+    memory = _remembered(last, x_h, countdown, interval.e_M, e, interval.slopes)
     progress = Progress(
         jnp.where(ends, 0.0, progress.passed + interval.part),
         jnp.where(ends, 0, progress.pieces + 1),
@@ -219,16 +218,14 @@ def plant_step(
 def sampled_step(p: Params, state: State, model: Model, dt: Scalar) -> tuple[State, Sample]:
     """The state after a plant step, and its signals."""
     none = jnp.zeros_like(state.x)
-    nothing = Attractor(jnp.ones_like(none, bool), none, Slopes(none, none, none))
 
-    def see(seen: tuple[Scalar, Attractor, Scalar, Scalar], interval: Interval) -> Any:
-        return seen[0] + interval.work, interval.attractor, interval.tau, interval.T
+    def see(seen: Any, interval: Interval) -> Any:
+        return seen[0] + interval.work, interval.diverging, interval.tau, interval.T
 
-    state, (work, attractor, tau, T) = plant_step(
-        p, state, model, dt, see, (none, nothing, none, none)
-    )
+    nothing = none, jnp.ones_like(none, bool), none, none
+    state, (work, diverging, tau, T) = plant_step(p, state, model, dt, see, nothing)
     memory, t = state.memory, state.k.astype(dt.dtype) * dt
-    e, diverging = memory.x_h - state.x, attractor.diverging
+    e = memory.x_h - state.x
     return state, Sample(t, state.x, state.v, memory.x_h, e, memory.e_M, diverging, tau, T, work)
 
 
