@@ -10,17 +10,14 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
-from fic_jax.controller import REST_BAND, Slopes, converging_slopes
+from fic_jax.controller import REST_BAND, Attractor, Slopes
 from fic_jax.lanes.hints import where_rare
 from fic_jax.params import Model, Params, Scalar
 from fic_jax.piece import (
-    SLOWEST,
     Arrival,
     Path,
     Piece,
     enter,
-    fast,
-    heading,
     path_of,
     swept,
     whole,
@@ -46,9 +43,7 @@ class Interval:
     v: Scalar  # rad/s, at the end
     tau: Scalar  # N*m, at the end
     T: Scalar  # N*m, at the end
-    e_M: Scalar  # rad, after it
-    slopes: Slopes  # of the last converging branch, or of one that begins now
-    diverging: Scalar  # bool, within it
+    attractor: Attractor
     part: Scalar  # of the plant step that it takes
     ends_step: Scalar  # bool
     work: Scalar  # J
@@ -79,49 +74,15 @@ def advance_to_switch(
     """
     a = enter(p, x, v, x_h, e_M, known, model)
     left = 1.0 - passed
-    path = path_of(p, a, left * dt)
+    path, fast = path_of(p, a, left * dt)
     end = whole(path)
     lowest, highest = _speeds(a, model)
     leaves = (end.z > a.ahead) | (end.z > a.wall) | (a.slope * end.z > a.slack)
-    leaves = leaves | (end.u < lowest) | fast(p, a, path.h)
+    leaves = leaves | (end.u < lowest) | fast
     if model.divergence == "velocity_band":
         leaves = leaves | (end.u > highest)
-    to_end = end, _after(a, end, p, model)
-
-    def to_switch() -> tuple[Arrival, _After]:
-        end = arrival(p, a, path, model)
-        return end, _after_switch(a, end, p, x_h, model)
-
-    end, after = where_rare(leaves & ~last, to_switch, to_end)
-    return along(p, a, x_h, path, end, after, left, passed)
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class _After:
-    """The joint at the end of a piece."""
-
-    x: Scalar  # rad
-    v: Scalar  # rad/s
-    latches: Scalar  # bool: it has come to rest, the peak error is the error
-    slopes: Slopes
-
-
-def _after(a: Piece, end: Arrival, p: Params, model: Model) -> _After:
-    x = a.x + a.s * end.z
-    if model.contact != "welded":
-        x = jnp.where(end.at_wall, p.gap, x)
-    return _After(x, a.s * end.u, jnp.zeros_like(end.switches), a.attractor.slopes)
-
-
-def _after_switch(a: Piece, end: Arrival, p: Params, x_h: Scalar, model: Model) -> _After:
-    """At rest the direction of what follows is decided at once, and the slopes that it needs."""
-    after = _after(a, end, p, model)
-    e, rests = x_h - after.x, end.by_speed & (end.u == 0.0)
-    v = where_rare(rests, lambda: SLOWEST * heading(p, after.x, e, model), after.v)
-    converges = end.by_speed & (e * v > 0.0)
-    slopes = where_rare(converges, lambda: converging_slopes(e, p, model), after.slopes)
-    return _After(after.x, v, rests, slopes)
+    end = where_rare(leaves & ~last, lambda: arrival(p, a, path, fast, model), end)
+    return along(p, a, path, end, left, passed, model)
 
 
 def _speeds(a: Piece, model: Model) -> tuple[Scalar, Scalar]:
@@ -136,12 +97,11 @@ def _speeds(a: Piece, model: Model) -> tuple[Scalar, Scalar]:
 def along(
     p: Params,
     a: Piece,
-    x_h: Scalar,
     path: Path,
     end: Arrival,
-    after: _After,
     left: Scalar,
     passed: Scalar,
+    model: Model,
 ) -> Interval:
     """The motion along a piece.
 
@@ -174,22 +134,23 @@ def along(
     counts = (r0 * r1 < 0.0) & (jnp.abs(r0 - r1) > 1e-3 * jnp.abs(tau_env))
     top = a.s * where_rare(counts, parabola, tau_env)
     T0, T1 = a.s * a.tau_env, a.s * tau_env
-    part, attractor = left * end.part, a.attractor
+    x = a.x + a.s * z
+    if model.contact != "welded":
+        x = jnp.where(end.at_wall, p.gap, x)
+    part = left * end.part
     return Interval(
-        x=after.x,
-        v=after.v,
+        x=x,
+        v=a.s * u,
         tau=a.s * tau,
         T=T1,
-        e_M=jnp.where(attractor.diverging | after.latches, x_h - after.x, attractor.e_M),
-        slopes=after.slopes,
-        diverging=attractor.diverging,
+        attractor=a.attractor,
         part=part,
         ends_step=~end.switches,
         work=work,
         error=part * a.s * error,
         square=part * square,
-        highest=jnp.maximum(jnp.maximum(T0, T1), top),
-        lowest=jnp.minimum(jnp.minimum(T0, T1), top),
+        highest=jnp.where(top < T0, T0, top),
+        lowest=jnp.where(top > T0, T0, top),
         touches=a.touches,
         since=passed,
     )
@@ -209,7 +170,7 @@ def _law_at(p: Params, a: Piece, z: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     return where_rare(a.bends, bend, affine)
 
 
-def arrival(p: Params, a: Piece, path: Path, model: Model) -> Arrival:
+def arrival(p: Params, a: Piece, path: Path, fast: Scalar, model: Model) -> Arrival:
     """The first switch on the path of a piece, or its end."""
     z_end, u_end, one = path.way(), path.speed(), jnp.ones_like(path.h)
     lowest, highest = _speeds(a, model)
@@ -242,10 +203,9 @@ def arrival(p: Params, a: Piece, path: Path, model: Model) -> Arrival:
         u=jnp.where(by_speed, level, u),
         switches=switches,
         at_wall=passes & (a.wall <= to),
-        by_speed=by_speed,
     )
     to = jnp.minimum(a.ahead, a.wall)
-    return where_rare(fast(p, a, path.h), lambda: swept(p, a, path, to), located)
+    return where_rare(fast, lambda: swept(p, a, path, to), located)
 
 
 def root(path: Path, of_speed: Scalar, rise: Scalar, rise_to: Scalar, until: Scalar) -> Scalar:

@@ -120,6 +120,11 @@ def begin_tail(acc: Accumulator) -> Accumulator:
     return dataclasses.replace(acc, square_head=acc.square.total, square=none, error=none)
 
 
+def larger(a: Scalar, b: Scalar) -> jax.Array:
+    """The larger number; the first if one is NaN, which `jnp.maximum` looks for at some cost."""
+    return jnp.where(b > a, b, a)
+
+
 def update(acc: Accumulator, interval: Interval, k: Scalar, p: Params, model: Model) -> Accumulator:
     """Add an interval of plant step k (counted from 0)."""
     ends, T, at = interval.ends_step, interval.T, k.astype(acc.T.dtype)
@@ -136,7 +141,7 @@ def update(acc: Accumulator, interval: Interval, k: Scalar, p: Params, model: Mo
     settled = where_rare(inside & ends & (last == jnp.inf), entry, last)
     touches = (acc.touched == jnp.inf) & interval.touches
     pulls = model.contact != "hard_stop"
-    branch = interval.diverging.astype(jnp.int32)
+    branch = interval.attractor.diverging.astype(jnp.int32)
     return Accumulator(
         square_head=acc.square_head,
         square=acc.square.plus(interval.square),
@@ -144,8 +149,8 @@ def update(acc: Accumulator, interval: Interval, k: Scalar, p: Params, model: Mo
         work=acc.work.plus(interval.work),
         settled=jnp.where(ends & ~inside, jnp.inf, settled),
         T=jnp.where(ends, T, acc.T),
-        highest=jnp.maximum(acc.highest, interval.highest),
-        lowest=jnp.minimum(acc.lowest, interval.lowest) if pulls else acc.lowest,
+        highest=larger(acc.highest, interval.highest),
+        lowest=-larger(-acc.lowest, -interval.lowest) if pulls else acc.lowest,
         touched=jnp.where(touches, at + interval.since, acc.touched),
         contact=acc.contact.plus(jnp.where(interval.touches, interval.part, 0.0)),
         switches=acc.switches + (branch != acc.branch).astype(jnp.int32),
@@ -246,6 +251,6 @@ def evaluated_by_intervals(
     def unfinished(carry: Any) -> Any:
         return carry[0].k < np.int32(n)
 
-    start = (with_slopes(p, init(p, model)), Progress.none(p.x_init), empty(p, model))
+    start = with_slopes(p, init(p, model)), Progress.none(p.x_init), empty(p, model)
     state, _, acc = jax.lax.while_loop(unfinished, body, start)
     return finish(acc, state.x, state.v, n, tail, p, h)

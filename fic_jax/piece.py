@@ -24,7 +24,7 @@ from fic_jax.lanes.hints import where_rare
 from fic_jax.params import Model, Params, Scalar
 
 # Terms of the speed's series. Four are RK4; with six the path is as exact as the integrals over it.
-ORDER = 6
+ORDER = 5
 # rad/s: the speed that decides for a joint at rest, large enough that e v does not underflow.
 SLOWEST = 1e-15
 
@@ -64,7 +64,7 @@ def enter(
     e, rest = x_h - x, v == 0.0
 
     def from_rest() -> tuple[Scalar, Scalar, Scalar]:
-        s = heading(p, x, e, model)
+        s = _heading(p, x, e, model)
         return s, s * SLOWEST, e
 
     direction = jnp.where(v < 0.0, -1.0, 1.0).astype(x.dtype)
@@ -119,7 +119,7 @@ def rounding(p: Params) -> Scalar:
     return 4.0 * jnp.finfo(size.dtype).eps * size
 
 
-def heading(p: Params, x: Scalar, e: Scalar, model: Model) -> Scalar:
+def _heading(p: Params, x: Scalar, e: Scalar, model: Model) -> Scalar:
     """The direction in which a joint at rest sets out."""
     yes, none = jnp.ones_like(e, bool), jnp.zeros_like(e)
     tau = torque(e, Attractor(yes, e, Slopes(none, none, none)), p)
@@ -176,17 +176,12 @@ def affine(p: Params, a: Piece, h: Scalar) -> Path:
     return Path(h, tuple(d))
 
 
-def bent(p: Params, a: Piece, h: Scalar) -> Path:
-    """The path on the bend, where the torque has a part w with w' = -+w u/b.
-
-    Where the bend is passed in less than h, its series does not converge; `fast` says so. The path
-    then leaves w out.
-    """
+def bent(p: Params, a: Piece, h: Scalar, fast: Scalar) -> Path:
+    """The path on the bend, where the torque has a part w with w' = -+w u/b; none if `fast`."""
     b = (p.xb - p.x0) / p.S
     sign, w = jnp.where(a.outwards, 1.0, -1.0), b * a.stiffness
     per_I, rate = h * (1.0 / p.I), sign * h / b
-    slow = ~fast(p, a, h)
-    w, start = jnp.where(slow, w, 0.0), jnp.where(slow, a.torque, a.torque - sign * w)
+    w, start = jnp.where(fast, 0.0, w), jnp.where(fast, a.torque - sign * w, a.torque)
     K, D = h * per_I * a.Kenv, per_I * a.Denv
     u, ws = [a.u, per_I * (start - a.tau_env)], [w]  # coefficients of t^k
     for k in range(1, ORDER):
@@ -200,14 +195,17 @@ def bent(p: Params, a: Piece, h: Scalar) -> Path:
     return Path(h, tuple(u))
 
 
-def fast(p: Params, a: Piece, h: Scalar) -> Scalar:
-    """Whether a piece is on the bend, and passes more of it than b in h seconds."""
-    return a.bends & (a.u * h * p.S > p.xb - p.x0)
+def path_of(p: Params, a: Piece, h: Scalar) -> tuple[Path, Scalar]:
+    """The path of a piece over h seconds, and whether it is too `fast` on the bend for a series.
 
+    The path then leaves out the bend's w.
+    """
 
-def path_of(p: Params, a: Piece, h: Scalar) -> Path:
-    """The path of a piece over h seconds; without the bend's w where that is `fast`."""
-    return where_rare(a.bends, lambda: bent(p, a, h), affine(p, a, h))
+    def on_bend() -> tuple[Path, Scalar]:
+        fast = a.u * h * p.S > p.xb - p.x0
+        return bent(p, a, h, fast), fast
+
+    return where_rare(a.bends, on_bend, (affine(p, a, h), jnp.zeros_like(a.bends)))
 
 
 @jax.tree_util.register_dataclass
@@ -220,13 +218,12 @@ class Arrival:
     u: Scalar  # rad/s
     switches: Scalar  # bool: at a switch, not at the end of the plant step
     at_wall: Scalar  # bool: at that of the environment
-    by_speed: Scalar  # bool: at one of the speed
 
 
 def whole(path: Path) -> Arrival:
     """The end of a path without a switch."""
     z, no = path.way(), jnp.zeros_like(path.h, bool)
-    return Arrival(jnp.ones_like(z), z, path.speed(), no, no, no)
+    return Arrival(jnp.ones_like(z), z, path.speed(), no, no)
 
 
 def swept(p: Params, a: Piece, path: Path, to: Scalar) -> Arrival:
@@ -272,5 +269,4 @@ def swept(p: Params, a: Piece, path: Path, to: Scalar) -> Arrival:
         u=u + late * change,
         switches=reaches,
         at_wall=reaches & (a.wall <= a.ahead),
-        by_speed=jnp.zeros_like(reaches),
     )

@@ -14,6 +14,7 @@ from fic_jax.controller import (
     Slopes,
     begin_branch,
     diverges,
+    peak_error_after,
     torque,
 )
 from fic_jax.environment import in_contact, interaction_torque
@@ -108,13 +109,14 @@ def decide(
     e = x_h - x
     diverging = diverges(e, v, memory.e_last, model)
     attractor = begin_branch(e, diverging, memory.e_M, p, model, memory.slopes)
-    return _remembered(memory, x_h, countdown - 1, attractor.e_M, e, attractor.slopes), attractor
+    return _remembered(memory, x_h, countdown - 1, attractor.e_M, e, attractor), attractor
 
 
 def _remembered(
-    last: Memory, x_h: Scalar, countdown: Scalar, e_M: Scalar, e: Scalar, slopes: Slopes
+    last: Memory, x_h: Scalar, countdown: Scalar, e_M: Scalar, e: Scalar, attractor: Attractor
 ) -> Memory:
-    return Memory(x_h, e_M, jnp.abs(e), countdown, None if last.slopes is None else slopes)
+    slopes = None if last.slopes is None else attractor.slopes
+    return Memory(x_h, e_M, jnp.abs(e), countdown, slopes)
 
 
 def step_at_once(p: Params, state: State, model: Model, dt: Scalar) -> tuple[State, Interval]:
@@ -128,9 +130,7 @@ def step_at_once(p: Params, state: State, model: Model, dt: Scalar) -> tuple[Sta
         v=v,
         tau=torque(memory.x_h - x, attractor, p),
         T=T,
-        e_M=memory.e_M,
-        slopes=attractor.slopes,
-        diverging=attractor.diverging,
+        attractor=attractor,
         part=one,
         ends_step=jnp.ones_like(x, bool),
         work=motion.work,
@@ -173,7 +173,8 @@ def step_to_switch(
     )
     e, ends = x_h - interval.x, interval.ends_step
     countdown = countdown - ends.astype(jnp.int32)
-    memory = _remembered(last, x_h, countdown, interval.e_M, e, interval.slopes)
+    e_M = peak_error_after(interval.attractor, e)
+    memory = _remembered(last, x_h, countdown, e_M, e, interval.attractor)
     progress = Progress(
         jnp.where(ends, 0.0, progress.passed + interval.part),
         jnp.where(ends, 0, progress.pieces + 1),
@@ -220,7 +221,7 @@ def sampled_step(p: Params, state: State, model: Model, dt: Scalar) -> tuple[Sta
     none = jnp.zeros_like(state.x)
 
     def see(seen: Any, interval: Interval) -> Any:
-        return seen[0] + interval.work, interval.diverging, interval.tau, interval.T
+        return seen[0] + interval.work, interval.attractor.diverging, interval.tau, interval.T
 
     nothing = none, jnp.ones_like(none, bool), none, none
     state, (work, diverging, tau, T) = plant_step(p, state, model, dt, see, nothing)

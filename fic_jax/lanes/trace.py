@@ -61,17 +61,24 @@ def translated(graph: Graph, eqn: Any, args: list[Node], scope: Scope | None) ->
         hint = next(graph.ids)  # outer hints have smaller numbers
         outs = inlined(graph, params.get("jaxpr") or params["call_jaxpr"], args, scope)
         return [hinted(graph, n, hint) for n in outs] if params.get("name") == RARE else outs
-    if name in LOOPS:
-        return LOOPS[name](graph, eqn, args, scope)
+    if name == "while":
+        return repeated(graph, eqn, args, scope)
+    if name == "scan":
+        return looped(graph, eqn, args, scope)
     by_index = name == "select_n" and (len(args) > 3 or args[0].kind != "b")
     if len(eqn.outvars) != 1 or by_index:
         raise Untranslatable(f"the operation {name} with {len(args)} operands")
+    return [_operation(graph, name, eqn, args)]
+
+
+def _operation(graph: Graph, name: str, eqn: Any, args: list[Node]) -> Node:
+    """The node of an operation with one result."""
     if name == "select_n" and args[1] is args[2]:
-        return args[1:2]
+        return args[1]
     kind = kind_of(eqn.outvars[0].aval.dtype, graph.dtype)
     if name == "convert_element_type":
-        return args if args[0].kind == kind else [graph.node("convert", args, kind)]
-    return [graph.node(name, args, kind, params.get("y"))]
+        return args[0] if args[0].kind == kind else graph.node("convert", args, kind)
+    return graph.node(name, args, kind, eqn.params.get("y"))
 
 
 def hinted(graph: Graph, node: Node, hint: int) -> Node:
@@ -119,9 +126,6 @@ def repeated(graph: Graph, eqn: Any, args: list[Node], outer: Scope | None) -> l
         loop.goes_on = goes_on(loop.outs, loop)
 
     return _results(graph, inits, outer, write)
-
-
-LOOPS = {"scan": looped, "while": repeated}
 
 
 def _results(
