@@ -25,9 +25,15 @@ class LaneMap:
     """A function of scalars, mapped over columns (see `lane_map`)."""
 
     def __init__(
-        self, function: Callable[..., Any], threads: int | None, key: str | None, result: Any
+        self,
+        function: Callable[..., Any],
+        threads: int | None,
+        key: str | None,
+        result: Any,
+        likeness: Callable[..., np.ndarray] | None,
     ) -> None:
         self._function, self._key, self._result = function, key, result
+        self._likeness = likeness
         self._threads = threads or cores()
         self._compiled: dict[Any, tuple[Kernel, Any]] = {}
 
@@ -43,14 +49,18 @@ class LaneMap:
 
         def part(start: int) -> None:
             stop = min(start + size, n)
+            order: Any = slice(None)
+            if self._likeness and columns:
+                part = [leaf[start:stop] if leaf.ndim else leaf for leaf in leaves]
+                order = self._likeness(*jax.tree.unflatten(tree, part))
             arguments = np.empty((len(columns), _whole(stop - start, kernel.lanes)), dtype)
             for row, column in zip(arguments, columns, strict=True):
-                row[: stop - start] = _as_bits(column[start:stop], dtype)
+                row[: stop - start] = _as_bits(column[start:stop][order], dtype)
                 row[stop - start :] = row[stop - start - 1]
             results = kernel(arguments, uniforms)[:, : stop - start]
             for row, values in zip(results, jax.tree.leaves(out), strict=True):
                 whole = row if values.dtype.kind == "f" else row.view(f"i{dtype.itemsize}")
-                values[start:stop] = whole
+                values[start:stop][order] = whole
 
         pool = ThreadPoolExecutor(self._threads)
         try:
@@ -93,6 +103,7 @@ def lane_map(
     threads: int | None = None,
     key: str | None = None,
     result: Any = None,
+    likeness: Callable[..., np.ndarray] | None = None,
 ) -> LaneMap:
     """`jax.jit(jax.vmap(function))` on this CPU's vector registers and cores.
 
@@ -114,11 +125,13 @@ def lane_map(
     `key` names the function for the compile cache (`jax_compilation_cache_dir`): functions, and
     versions of one function, need different keys. Cached code is neither traced nor compiled.
     `result` is the structure and types of the results; with it they need no trace either.
+    `likeness`, called with a part of the arguments, returns an order (indices) that puts lanes side
+    by side which take the same rare branches: they then share a vector. It changes no bit.
 
     Raises Untranslatable if the function uses more than elementwise arithmetic, `exp`, `where` and
     loops of fixed length; ImportError without llvmlite; ValueError for arguments of other shapes.
     """
-    return LaneMap(function, threads, key, result)
+    return LaneMap(function, threads, key, result, likeness)
 
 
 def _arguments(args: Any) -> tuple[list[np.ndarray], Any, np.dtype]:
