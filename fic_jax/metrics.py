@@ -237,7 +237,8 @@ def evaluated_by_intervals(
     """`evaluate` with located switches for many scenarios side by side: not differentiable.
 
     An iteration is an interval, not a plant step: one that ends at a switch holds up only its own
-    scenario, and each scenario takes as many as it needs.
+    scenario. Each scenario takes at least as many intervals as plant steps; only the second loop
+    has scenarios that have finished, and must keep their numbers.
     """
     h, n, tail = dt / finer, finer * n_steps, finer * (n_steps // 2)
 
@@ -252,5 +253,6 @@ def evaluated_by_intervals(
         return carry[0].k < np.int32(n)
 
     start = with_slopes(p, init(p, model)), Progress.none(p.x_init), empty(p, model)
-    state, _, acc = jax.lax.while_loop(unfinished, body, start)
+    carry = jax.lax.fori_loop(np.int32(0), np.int32(n), lambda _, carry: body(carry), start)
+    state, _, acc = jax.lax.while_loop(unfinished, body, carry)
     return finish(acc, state.x, state.v, n, tail, p, h)
