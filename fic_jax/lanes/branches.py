@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from fic_jax.lanes.graph import Branch, Graph, Node, Scope, live, users_of
 
 Users = dict[Node, set[Node]]
+LEAST_BLENDS = 4  # that are worth a branch
 
 
 def branch_out(graph: Graph, roots: list[Node]) -> None:
@@ -33,7 +34,8 @@ def _into_branch(graph: Graph, selects: list[Node], roots: list[Node], users: Us
     """Put selects on one condition, and the nodes that only their rare arm uses, into a branch."""
     scope, condition = selects[0].scope, selects[0].args[0]
     inside = _only_for(selects, set(roots), users)
-    if len(inside) == len(selects) and not condition.uniform:  # a few blends cost less than a jump
+    blends = len(inside) == len(selects) < LEAST_BLENDS
+    if blends and not condition.uniform:  # they cost less than a jump
         return
     branch = Branch(scope, selects, condition=condition, otherwise=[n.args[1] for n in selects])
     for node in inside:
