@@ -18,6 +18,7 @@ from fic_jax.piece import (
     Path,
     Piece,
     enter,
+    outward_sign,
     path_of,
     swept,
     whole,
@@ -87,11 +88,12 @@ def advance_to_switch(
 
 def _speeds(a: Piece, model: Model) -> tuple[Scalar, Scalar]:
     """The speeds at which a piece ends, rad/s."""
+    rest, unbounded = jnp.zeros_like(a.u), jnp.full_like(a.u, jnp.inf)
     if model.divergence != "velocity_band":
-        return 0.0, jnp.inf
-    diverging = a.attractor.diverging
+        return rest, unbounded
+    diverging, band = a.attractor.diverging, jnp.full_like(a.u, REST_BAND)
     inside = diverging & ~a.outwards
-    return jnp.where(diverging, 0.0, REST_BAND), jnp.where(inside, REST_BAND, jnp.inf)
+    return jnp.where(diverging, rest, band), jnp.where(inside, band, unbounded)
 
 
 def along(
@@ -161,7 +163,7 @@ def _law_at(p: Params, a: Piece, z: Scalar) -> tuple[Scalar, Scalar, Scalar]:
 
     def bend() -> tuple[Scalar, Scalar, Scalar]:
         b = (p.xb - p.x0) / p.S
-        sign, w = jnp.where(a.outwards, 1.0, -1.0), b * a.stiffness
+        sign, w = outward_sign(a), b * a.stiffness
         w1 = w * jnp.exp(-sign * z / b)
         return a.torque + sign * (w1 - w), w1 / b, (a.torque - sign * w) * z + b * (w - w1)
 
@@ -179,7 +181,7 @@ def arrival(p: Params, a: Piece, path: Path, fast: Scalar, model: Model) -> Arri
     to = jnp.minimum(jnp.minimum(a.ahead, limit), a.wall)
     stops, rises = u_end < lowest, u_end > highest
     by_speed, passes = stops | rises, z_end > to
-    level = jnp.where(rises, highest, lowest) if model.divergence == "velocity_band" else 0.0
+    level = jnp.where(rises, highest, lowest)
     way = jnp.where(passes, to, 0.0)
     rise = jnp.where(by_speed, level - a.u, way)
     rise_to = jnp.where(by_speed, u_end - a.u, z_end)

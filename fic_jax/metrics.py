@@ -134,7 +134,7 @@ def update(acc: Accumulator, interval: Interval, k: Scalar, p: Params, model: Mo
     def entry() -> jax.Array:
         """When T, between two samples on a line, enters the band."""
         before = deviation(acc.T, p)
-        way = before - jnp.where(before > 0.0, SETTLING_BAND, -SETTLING_BAND)
+        way = before - SETTLING_BAND * jnp.sign(before)
         return at + way / jnp.where(before == far, 1.0, before - far)
 
     # samples are the ends of plant steps

@@ -67,14 +67,14 @@ def enter(
         s = _heading(p, x, e, model)
         return s, s * SLOWEST, e
 
-    direction = jnp.where(v < 0.0, -1.0, 1.0).astype(x.dtype)
+    one = jnp.ones_like(x)
+    direction = jnp.where(v < 0.0, -one, one)
     s, v_soon, e_M = where_rare(rest, from_rest, (direction, v, e_M))
     s, least = jax.lax.stop_gradient((s, rounding(p)))
     e_soon, x_soon = e - s * least, x + s * least
     diverging = departs(e_soon, v_soon, model)
     attractor = begin_branch(e, diverging, e_M, p, model, known)
 
-    one = jnp.ones_like(x)
     tau, slope = jax.jvp(lambda e: unlimited_torque(e, attractor, p), (e_soon,), (one,))
     tau_env, Kenv = jax.jvp(lambda x: interaction_torque(x, v_soon, p, model), (x_soon,), (one,))
     _, Denv = jax.jvp(lambda v: interaction_torque(x_soon, v, p, model), (v_soon,), (one,))
@@ -123,7 +123,8 @@ def _heading(p: Params, x: Scalar, e: Scalar, model: Model) -> Scalar:
     """The direction in which a joint at rest sets out."""
     yes, none = jnp.ones_like(e, bool), jnp.zeros_like(e)
     tau = torque(e, Attractor(yes, e, Slopes(none, none, none)), p)
-    return jnp.where(tau < interaction_torque(x, none, p, model), -1.0, 1.0).astype(x.dtype)
+    one = jnp.ones_like(e)
+    return jnp.where(tau < interaction_torque(x, none, p, model), -one, one)
 
 
 def _next_level(
@@ -166,6 +167,12 @@ def _series(d: tuple[Scalar, ...], t: Scalar, first: int) -> Scalar:
     return total
 
 
+def outward_sign(a: Piece) -> Scalar:
+    """1 where |e| grows along the piece, else -1."""
+    one = jnp.ones_like(a.x)
+    return jnp.where(a.outwards, one, -one)
+
+
 def affine(p: Params, a: Piece, h: Scalar) -> Path:
     """The path of an affine piece."""
     per_I = h * (1.0 / p.I)
@@ -179,7 +186,7 @@ def affine(p: Params, a: Piece, h: Scalar) -> Path:
 def bent(p: Params, a: Piece, h: Scalar, fast: Scalar) -> Path:
     """The path on the bend, where the torque has a part w with w' = -+w u/b; none if `fast`."""
     b = (p.xb - p.x0) / p.S
-    sign, w = jnp.where(a.outwards, 1.0, -1.0), b * a.stiffness
+    sign, w = outward_sign(a), b * a.stiffness
     per_I, rate = h * (1.0 / p.I), sign * h / b
     w, start = jnp.where(fast, 0.0, w), jnp.where(fast, a.torque - sign * w, a.torque)
     K, D = h * per_I * a.Kenv, per_I * a.Denv
@@ -233,7 +240,7 @@ def swept(p: Params, a: Piece, path: Path, to: Scalar) -> Arrival:
     independent variable of an RK4 step for the other torques' work and for the time.
     """
     b = (p.xb - p.x0) / p.S
-    sign, w = jnp.where(a.outwards, 1.0, -1.0), b * a.stiffness
+    sign, w = outward_sign(a), b * a.stiffness
     guess = path.way()
     reaches = guess >= to
     z = jnp.where(reaches, to, guess)
