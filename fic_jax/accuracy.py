@@ -1,13 +1,16 @@
 """Error estimates: the difference between metrics and their limit for dt -> 0."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 
-from fic_jax.metrics import Metrics, compiled_evaluate
+from fic_jax.events import FLAT
+from fic_jax.metrics import Metrics, Run, deviation, reachable, run_by_steps
 from fic_jax.params import Model, Params, Scalar
+from fic_jax.piece import rounding
 from fic_jax.simulation import checked
 
 
@@ -45,6 +48,10 @@ _TO_LIMIT = {"rk4": 1.0, "rk4_events": 4.0 / 3.0}
 # run is far more accurate, so the difference is the error. Twice the difference of two located runs
 # makes runs with other steps agree within their estimates.
 _OF_DIFFERENCE = {"rk4": 1.0, "rk4_events": 2.0}
+# Two located runs that end with torques further apart than this part of T_n have become different
+# motions, as in chaos: that their sums agree is luck.
+PART = 0.01
+SUMS = ("nmse", "nmse_tail", "steady_error", "contact_lost", "mode_switches", "energy_in")
 # The companion's relative change of parameters, in units of CHANGE[bits]: no two cancel.
 CHANGES = {"K0": 1.0, "Kenv": -0.7, "I": 0.6, "Td": -0.8, "sigma": 0.9, "Denv": 0.5}
 CHANGE = {32: 1e-6, 64: 1e-8}  # eight units in the last place; what nobody measures
@@ -67,30 +74,66 @@ def evaluate_with_error(
     checked.
     """
     p, dt = checked(params, dt, n_steps)
-    return estimated(p, model, dt, n_steps)
+    return compiled_estimated(p, model, dt, n_steps)
+
+
+@partial(jax.jit, static_argnames=("model", "n_steps"))
+def compiled_estimated(
+    p: Params, model: Model, dt: Scalar, n_steps: int
+) -> tuple[Metrics, Metrics]:
+    """`evaluate_with_error` on canonical numbers."""
+    return estimated(p, model, dt, n_steps, run_by_steps)
 
 
 def estimated(
-    p: Params, model: Model, dt: Scalar, n_steps: int, run: Any = compiled_evaluate
+    p: Params, model: Model, dt: Scalar, n_steps: int, run: Callable[..., Run]
 ) -> tuple[Metrics, Metrics]:
-    """`evaluate_with_error` on canonical numbers; `run` makes the metrics of a run."""
-    metrics = run(p, model, dt, n_steps)
+    """The metrics and errors of a scenario; `run` simulates it."""
+    metrics, T = run(p, model, dt, n_steps)
     change = CHANGE[jnp.finfo(p.K0.dtype).bits]
-    nearby = {name: getattr(p, name) * (1.0 + part * change) for name, part in CHANGES.items()}
-    companion = run(replace(p, **nearby), model.with_events(), dt, n_steps, finer=2)
-    return metrics, difference(metrics, companion, model)
+    nearby = replace(
+        p, **{name: getattr(p, name) * (1.0 + part * change) for name, part in CHANGES.items()}
+    )
+    companion, T_companion = run(nearby, model.with_events(), dt, n_steps, finer=2)
+    apart = jnp.abs(deviation(T, p) - deviation(T_companion, nearby)) > PART
+    errors = difference(metrics, companion, apart, model)
+    return metrics, with_rounding(errors, metrics, p)
 
 
-def difference(metrics: Metrics, companion: Metrics, model: Model) -> Metrics:
-    """The error of each metric, from its companion run."""
+def difference(metrics: Metrics, companion: Metrics, apart: Scalar, model: Model) -> Metrics:
+    """The error of each metric, from its companion run; `apart`: it ends with another torque."""
     finite, dtype = metrics.finite & companion.finite, metrics.nmse.dtype
 
     def error(a: jax.Array, b: jax.Array) -> jax.Array:
         a, b = a.astype(dtype), b.astype(dtype)
-        apart = jnp.where(a == b, 0.0, _OF_DIFFERENCE[model.integrator] * jnp.abs(a - b))
-        return jnp.where(finite, apart, jnp.nan)
+        error = jnp.where(a == b, 0.0, _OF_DIFFERENCE[model.integrator] * jnp.abs(a - b))
+        return jnp.where(finite, error, jnp.nan)
 
-    return replace(jax.tree.map(error, metrics, companion), finite=finite)
+    errors = jax.tree.map(error, metrics, companion)
+    if model.integrator == "rk4_events":
+        lucky = {name: jnp.where(apart & finite, jnp.inf, getattr(errors, name)) for name in SUMS}
+        errors = replace(errors, **lucky)
+    return replace(errors, finite=finite)
+
+
+def with_rounding(errors: Metrics, metrics: Metrics, p: Params) -> Metrics:
+    """The errors, and what no second run sees.
+
+    Algorithm 2 stalls where its step sigma/K0 (Td - F) is below the rounding of x_h. And a flat
+    extreme between two samples is left out (`FLAT`).
+    """
+    T_n = jnp.abs(reachable(p))
+    searches = p.sigma > 0.0
+    stall = rounding(p) / 8.0 * p.K0 / jnp.where(searches, p.sigma, 1.0) / T_n
+    stall = jnp.where(searches, stall, 0.0)
+    return replace(
+        errors,
+        nmse=errors.nmse + stall**2,
+        nmse_tail=errors.nmse_tail + stall**2,
+        steady_error=errors.steady_error + stall,
+        peak_torque=errors.peak_torque + FLAT * metrics.peak_torque,
+        overshoot=errors.overshoot + FLAT * (1.0 + metrics.overshoot),
+    )
 
 
 def trusted(metrics: Metrics, errors: Metrics, t_end: Scalar) -> Metrics:

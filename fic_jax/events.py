@@ -20,6 +20,7 @@ from fic_jax.piece import (
     enter,
     outward_sign,
     path_of,
+    rounding,
     swept,
     whole,
 )
@@ -27,6 +28,8 @@ from fic_jax.piece import (
 # Pieces of a plant step. The last one lasts to the end of the step: a switch that it passes acts at
 # the next step, an error of first order.
 PIECES = 4
+# An extreme of tau_env between two ends that exceeds them by less than this part is left out.
+FLAT = 1e-4
 # rad/s, the speed of a motion that has just entered the rest band: inside it, so that it counts as
 # at rest until it has left.
 INSIDE_BAND = (1.0 - 1e-7) * REST_BAND
@@ -54,6 +57,7 @@ class Interval:
     lowest: Scalar  # N*m, smallest T
     touches: Scalar  # bool
     since: Scalar  # part of the plant step before its contact
+    moves: Scalar  # bool: the way exceeds the rounding of positions
 
 
 def advance_to_switch(
@@ -132,8 +136,8 @@ def along(
     def parabola() -> Scalar:
         return a.tau_env + 0.5 * r0 * r0 / jnp.where(r0 == r1, 1.0, r0 - r1)
 
-    # An extreme is off the ends by at most |r0 - r1|/8: up to 1e-4 of tau_env it does not count.
-    counts = (r0 * r1 < 0.0) & (jnp.abs(r0 - r1) > 1e-3 * jnp.abs(tau_env))
+    # An extreme is off the ends by at most |r0 - r1|/8.
+    counts = (r0 * r1 < 0.0) & (jnp.abs(r0 - r1) > 8.0 * FLAT * jnp.abs(tau_env))
     top = a.s * where_rare(counts, parabola, tau_env)
     T0, T1 = a.s * a.tau_env, a.s * tau_env
     x = a.x + a.s * z
@@ -155,6 +159,7 @@ def along(
         lowest=jnp.where(top > T0, T0, top),
         touches=a.touches,
         since=passed,
+        moves=z > rounding(p),
     )
 
 

@@ -141,7 +141,9 @@ def update(acc: Accumulator, interval: Interval, k: Scalar, p: Params, model: Mo
     settled = where_rare(inside & ends & (last == jnp.inf), entry, last)
     touches = (acc.touched == jnp.inf) & interval.touches
     pulls = model.contact != "hard_stop"
-    branch = interval.attractor.diverging.astype(jnp.int32)
+    # in a motion within rounding the branch is a coin
+    diverging = interval.attractor.diverging.astype(jnp.int32)
+    branch = jnp.where(interval.moves, diverging, acc.branch)
     return Accumulator(
         square_head=acc.square_head,
         square=acc.square.plus(interval.square),
@@ -182,7 +184,7 @@ def finish(
         overshoot=jnp.maximum(jnp.where(T_n < 0.0, acc.lowest, acc.highest) * per_T_n - 1.0, 0.0),
         contact_time=acc.touched * h,
         contact_lost=jnp.maximum(lost, 0.0) * h,
-        mode_switches=acc.switches,
+        mode_switches=jnp.maximum(acc.switches, 0),
         energy_in=acc.work.total,
         finite=jnp.isfinite(x)
         & jnp.isfinite(v)
@@ -210,11 +212,19 @@ def evaluate(params: Params, *, model: Model = Model(), dt: Scalar, n_steps: int
     return compiled_evaluate(p, model, dt, n_steps)
 
 
-@partial(jax.jit, static_argnames=("model", "n_steps", "finer", "unroll"))
-def compiled_evaluate(
+Run = tuple[Metrics, Scalar]  # the metrics of a run, and T at its end, N*m
+
+
+@partial(jax.jit, static_argnames=("model", "n_steps"))
+def compiled_evaluate(p: Params, model: Model, dt: jax.Array, n_steps: int) -> Metrics:
+    """`evaluate` on canonical numbers."""
+    return run_by_steps(p, model, dt, n_steps)[0]
+
+
+def run_by_steps(
     p: Params, model: Model, dt: jax.Array, n_steps: int, finer: int = 1, unroll: int = 1
-) -> Metrics:
-    """`evaluate` on canonical numbers, each step in `finer` parts; `unroll` steps an iteration."""
+) -> Run:
+    """A run with each step in `finer` parts; `unroll` of them are an iteration. Differentiable."""
     h, n, tail = dt / finer, finer * n_steps, finer * (n_steps // 2)
 
     def body(k: jax.Array, carry: Any) -> Any:
@@ -228,13 +238,11 @@ def compiled_evaluate(
 
     start = (with_slopes(p, init(p, model)), empty(p, model))
     state, acc = jax.lax.fori_loop(np.int32(0), np.int32(n), body, start, unroll=unroll)
-    return finish(acc, state.x, state.v, n, tail, p, h)
+    return finish(acc, state.x, state.v, n, tail, p, h), acc.T
 
 
-def evaluated_by_intervals(
-    p: Params, model: Model, dt: jax.Array, n_steps: int, finer: int = 1
-) -> Metrics:
-    """`evaluate` with located switches for many scenarios side by side: not differentiable.
+def run_by_intervals(p: Params, model: Model, dt: jax.Array, n_steps: int, finer: int = 1) -> Run:
+    """A run with located switches, for many scenarios side by side; not differentiable.
 
     An iteration is an interval, not a plant step: one that ends at a switch holds up only its own
     scenario. Each scenario takes at least as many intervals as plant steps; only the second loop
@@ -255,4 +263,4 @@ def evaluated_by_intervals(
     start = with_slopes(p, init(p, model)), Progress.none(p.x_init), empty(p, model)
     carry = jax.lax.fori_loop(np.int32(0), np.int32(n), lambda _, carry: body(carry), start)
     state, _, acc = jax.lax.while_loop(unfinished, body, carry)
-    return finish(acc, state.x, state.v, n, tail, p, h)
+    return finish(acc, state.x, state.v, n, tail, p, h), acc.T

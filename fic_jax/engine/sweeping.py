@@ -16,7 +16,7 @@ from fic_jax.engine.tuning import threads
 from fic_jax.engine.xla import in_blocks
 from fic_jax.lanes import Untranslatable, lane_map
 from fic_jax.lanes.sources import digest
-from fic_jax.metrics import Metrics, blank, compiled_evaluate, evaluated_by_intervals
+from fic_jax.metrics import Metrics, Run, blank, run_by_intervals, run_by_steps
 from fic_jax.params import QUANTITIES, Model, Params, ParamsError, check
 
 Backend = Literal["auto", "lanes", "xla", "pallas"]
@@ -219,16 +219,16 @@ def _by_jax(
 def scenario(model: Model, n_steps: int, error_estimate: bool, unroll: int = 1) -> Any:
     """The function of one scenario, from its column of quantities and dt to its result."""
 
-    def run(p: Params, model: Model, dt: jax.Array, n_steps: int, finer: int = 1) -> Metrics:
+    def run(p: Params, model: Model, dt: jax.Array, n_steps: int, finer: int = 1) -> Run:
         if model.integrator == "rk4":
-            return compiled_evaluate(p, model, dt, n_steps, finer, unroll)
-        return evaluated_by_intervals(p, model, dt, n_steps, finer)
+            return run_by_steps(p, model, dt, n_steps, finer, unroll)
+        return run_by_intervals(p, model, dt, n_steps, finer)
 
     def of_column(column: Sequence[jax.Array], dt: jax.Array) -> Any:
         params = Params(**dict(zip(QUANTITIES, column, strict=True)))
         if error_estimate:
             return estimated(params, model, dt, n_steps, run)
-        return run(params, model, dt, n_steps)
+        return run(params, model, dt, n_steps)[0]
 
     return of_column
 
@@ -238,7 +238,11 @@ def result_types(model: Model, error_estimate: bool, dtype: np.dtype) -> Any:
 
     def blank_result(p: Params, dt: jax.Array) -> Any:
         metrics = blank(p, dt)
-        return (metrics, difference(metrics, metrics, model)) if error_estimate else metrics
+        return (
+            (metrics, difference(metrics, metrics, metrics.finite, model))
+            if error_estimate
+            else metrics
+        )
 
     scalar = jax.ShapeDtypeStruct((), dtype)
     return jax.eval_shape(blank_result, Params(**dict.fromkeys(QUANTITIES, scalar)), scalar)
