@@ -20,7 +20,6 @@ from fic_jax.piece import (
     enter,
     outward_sign,
     path_of,
-    rounding,
     swept,
     whole,
 )
@@ -29,7 +28,7 @@ from fic_jax.piece import (
 # the next step, an error of first order.
 PIECES = 4
 # An extreme of tau_env between two ends that exceeds them by less than this part is left out.
-FLAT = 1e-4
+FLAT = 1e-6
 # rad/s, the speed of a motion that has just entered the rest band: inside it, so that it counts as
 # at rest until it has left.
 INSIDE_BAND = (1.0 - 1e-7) * REST_BAND
@@ -57,7 +56,7 @@ class Interval:
     lowest: Scalar  # N*m, smallest T
     touches: Scalar  # bool
     since: Scalar  # part of the plant step before its contact
-    moves: Scalar  # bool: the way exceeds the rounding of positions
+    way: Scalar  # rad, from its start to its end
 
 
 def advance_to_switch(
@@ -159,7 +158,7 @@ def along(
         lowest=jnp.where(top > T0, T0, top),
         touches=a.touches,
         since=passed,
-        moves=z > rounding(p),
+        way=z,
     )
 
 

@@ -17,6 +17,7 @@ from fic_jax.environment import in_contact, interaction_torque
 from fic_jax.events import Interval
 from fic_jax.lanes.hints import where_rare
 from fic_jax.params import Model, Params, Scalar
+from fic_jax.piece import rounding
 from fic_jax.simulation import Progress, checked, init, plant_step, step_to_switch, with_slopes
 
 SETTLING_BAND = 0.05  # the torque has converged while |T/T_n - 1| is at most this
@@ -125,8 +126,14 @@ def larger(a: Scalar, b: Scalar) -> jax.Array:
     return jnp.where(b > a, b, a)
 
 
-def update(acc: Accumulator, interval: Interval, k: Scalar, p: Params, model: Model) -> Accumulator:
-    """Add an interval of plant step k (counted from 0)."""
+def update(
+    acc: Accumulator, interval: Interval, k: Scalar, rest: Scalar, p: Params, model: Model
+) -> Accumulator:
+    """Add an interval of plant step k (counted from 0).
+
+    A joint that moves by less than `rest` (rad) in a plant step counts as at rest: its branch is
+    the sign of rounding errors.
+    """
     ends, T, at = interval.ends_step, interval.T, k.astype(acc.T.dtype)
     far, last = deviation(T, p), acc.settled
     inside = jnp.abs(far) <= SETTLING_BAND  # false for NaN
@@ -141,9 +148,8 @@ def update(acc: Accumulator, interval: Interval, k: Scalar, p: Params, model: Mo
     settled = where_rare(inside & ends & (last == jnp.inf), entry, last)
     touches = (acc.touched == jnp.inf) & interval.touches
     pulls = model.contact != "hard_stop"
-    # in a motion within rounding the branch is a coin
     diverging = interval.attractor.diverging.astype(jnp.int32)
-    branch = jnp.where(interval.moves, diverging, acc.branch)
+    branch = jnp.where(interval.way > rest * interval.part, diverging, acc.branch)
     return Accumulator(
         square_head=acc.square_head,
         square=acc.square.plus(interval.square),
@@ -222,17 +228,27 @@ def compiled_evaluate(p: Params, model: Model, dt: jax.Array, n_steps: int) -> M
 
 
 def run_by_steps(
-    p: Params, model: Model, dt: jax.Array, n_steps: int, finer: int = 1, unroll: int = 1
+    p: Params,
+    model: Model,
+    dt: jax.Array,
+    n_steps: int,
+    finer: int = 1,
+    coarse: float = 1.0,
+    unroll: int = 1,
 ) -> Run:
-    """A run with each step in `finer` parts; `unroll` of them are an iteration. Differentiable."""
+    """A differentiable run with each step in `finer` parts, `unroll` of them in an iteration.
+
+    In a control period a joint at rest moves by at most `coarse` times the rounding of positions.
+    """
     h, n, tail = dt / finer, finer * n_steps, finer * (n_steps // 2)
+    rest = coarse * rounding(p) * (h / p.period)
 
     def body(k: jax.Array, carry: Any) -> Any:
         state, acc = carry
         acc = where_rare(k == tail, lambda: begin_tail(acc), acc)
 
         def see(acc: Accumulator, interval: Interval) -> Accumulator:
-            return update(acc, interval, k, p, model)
+            return update(acc, interval, k, rest, p, model)
 
         return plant_step(p, state, model, h, see, acc)
 
@@ -241,7 +257,9 @@ def run_by_steps(
     return finish(acc, state.x, state.v, n, tail, p, h), acc.T
 
 
-def run_by_intervals(p: Params, model: Model, dt: jax.Array, n_steps: int, finer: int = 1) -> Run:
+def run_by_intervals(
+    p: Params, model: Model, dt: jax.Array, n_steps: int, finer: int = 1, coarse: float = 1.0
+) -> Run:
     """A run with located switches, for many scenarios side by side; not differentiable.
 
     An iteration is an interval, not a plant step: one that ends at a switch holds up only its own
@@ -249,13 +267,14 @@ def run_by_intervals(p: Params, model: Model, dt: jax.Array, n_steps: int, finer
     has scenarios that have finished, and must keep their numbers.
     """
     h, n, tail = dt / finer, finer * n_steps, finer * (n_steps // 2)
+    rest = coarse * rounding(p) * (h / p.period)
 
     def body(carry: Any) -> Any:
         state, progress, acc = carry
         begins = (state.k == tail) & (progress.pieces == 0)
         acc = where_rare(begins, lambda: begin_tail(acc), acc)
         after, progress, interval = step_to_switch(p, state, progress, model, h)
-        return after, progress, update(acc, interval, state.k, p, model)
+        return after, progress, update(acc, interval, state.k, rest, p, model)
 
     def unfinished(carry: Any) -> Any:
         return carry[0].k < np.int32(n)

@@ -22,7 +22,6 @@ from fic_jax.events import PIECES, Interval, advance_to_switch
 from fic_jax.exploration import expected_reference, explore
 from fic_jax.lanes.hints import where_rare
 from fic_jax.params import Model, Params, Scalar, canonical, check, check_scalars, strong
-from fic_jax.piece import rounding
 from fic_jax.rk4 import Motion, advance
 
 
@@ -141,7 +140,7 @@ def step_at_once(p: Params, state: State, model: Model, dt: Scalar) -> tuple[Sta
         lowest=T,
         touches=in_contact(x, p, model),
         since=one,  # the end of its step
-        moves=jnp.abs(x - state.x) > rounding(p),
+        way=jnp.abs(x - state.x),
     )
     return _after(state.k + 1, memory, interval, model), interval
 

@@ -219,10 +219,10 @@ def _by_jax(
 def scenario(model: Model, n_steps: int, error_estimate: bool, unroll: int = 1) -> Any:
     """The function of one scenario, from its column of quantities and dt to its result."""
 
-    def run(p: Params, model: Model, dt: jax.Array, n_steps: int, finer: int = 1) -> Run:
+    def run(p: Params, model: Model, dt: jax.Array, n_steps: int, **companion: Any) -> Run:
         if model.integrator == "rk4":
-            return run_by_steps(p, model, dt, n_steps, finer, unroll)
-        return run_by_intervals(p, model, dt, n_steps, finer)
+            return run_by_steps(p, model, dt, n_steps, **companion, unroll=unroll)
+        return run_by_intervals(p, model, dt, n_steps, **companion)
 
     def of_column(column: Sequence[jax.Array], dt: jax.Array) -> Any:
         params = Params(**dict(zip(QUANTITIES, column, strict=True)))
