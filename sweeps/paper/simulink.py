@@ -11,7 +11,7 @@ RK23 and RK45 control their steps as scipy's do; ode23s is the Rosenbrock method
 Reichelt (1997), implicit as the paper's ode23t. All runs are in double precision (float64).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, get_args
@@ -19,7 +19,6 @@ from typing import Any, Literal, get_args
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import RK23, RK45
 
 from fic_jax import Model, Params, init
@@ -28,10 +27,10 @@ from fic_jax.environment import interaction_torque
 from fic_jax.params import canonical
 from fic_jax.rk4 import net_torque
 from fic_jax.simulation import Memory, decide
+from sweeps.paper.logs import Floats, Log, T_END
 
 Clock = Literal["stages", "both at stages", "RK23", "RK45", "ode23s"]
 CLOCKS: tuple[Clock, ...] = get_args(Clock)
-T_END = 10.0  # s
 LIMIT = T_END / 50  # s, the longest step: Simulink's default
 FIRST = 1e-3  # s, the first step
 ATOL = 1e-6  # rad, rad/s
@@ -39,18 +38,6 @@ SAFETY, LEAST, MOST = 0.9, 0.2, 10.0  # what the error estimate may make of a st
 CHUNK = 2000  # attempts at a step in one compiled scan
 MOST_CHUNKS = 20
 
-Floats = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Log:
-    """What Simulink would log of N runs: a row for each, NaN after its last step."""
-
-    t: Floats  # [N, k], s
-    x: Floats  # rad
-    v: Floats  # rad/s
-    tau_env: Floats  # N*m
-    diverging: Floats  # 1 or 0, of the step that ends here
 
 
 @jax.tree_util.register_dataclass
@@ -65,9 +52,12 @@ class Run:
     attractor: Attractor  # of the last step
 
 
-def _begun(p: Params, model: Model) -> Run:
+def _begun(p: Params, x_h: jax.Array, model: Model) -> Run:
+    """The start, with a first reference that is Algorithm 2's where x_h is NaN."""
     state = init(p, model)
-    memory, x, v, F = state.memory, state.x, state.v, state.measured
+    x, v, F = state.x, state.v, state.measured
+    x_h = jnp.where(jnp.isnan(x_h), state.memory.x_h, x_h)
+    memory = replace(state.memory, x_h=x_h, e_M=x_h - x)
     _, attractor = decide(p, memory, x, v, F, model, p.period)  # for its type
     return Run(jnp.zeros_like(x), jnp.stack([x, v]), F, memory, attractor)
 
@@ -106,9 +96,9 @@ def _row(p: Params, run: Run, model: Model) -> tuple[jax.Array, ...]:
 
 @partial(jax.jit, static_argnames=("model", "clock", "n"))
 def _by_stages(
-    p: Params, model: Model, clock: Clock, dt: jax.Array, n: int
+    p: Params, x_h: jax.Array, model: Model, clock: Clock, dt: jax.Array, n: int
 ) -> tuple[jax.Array, ...]:
-    def one(p: Params) -> tuple[jax.Array, ...]:
+    def one(p: Params, x_h: jax.Array) -> tuple[jax.Array, ...]:
         p = replace(p, period=dt)
 
         def decided(run: Run, y: jax.Array) -> Run:
@@ -132,9 +122,9 @@ def _by_stages(
             run = _moved(p, run, (k + 1) * dt, y, model)
             return run, _row(p, run, model)
 
-        return jax.lax.scan(step, _begun(p, model), jnp.arange(n, dtype=jnp.int32))[1]
+        return jax.lax.scan(step, _begun(p, x_h, model), jnp.arange(n, dtype=jnp.int32))[1]
 
-    return jax.vmap(one)(p)
+    return jax.vmap(one)(p, x_h)
 
 
 # --- solvers that choose their steps -------------------------------------------------------------
@@ -197,9 +187,11 @@ class Stepping:
     rejected: Any  # bool, whether the last attempt was
 
 
-def _by_steps(p: Params, model: Model, clock: Clock, rtol: jax.Array) -> tuple[np.ndarray, ...]:
+def _by_steps(
+    p: Params, x_h: jax.Array, model: Model, clock: Clock, rtol: jax.Array
+) -> tuple[np.ndarray, ...]:
     """Rows of accepted steps, NaN for attempts that were rejected or came after the end."""
-    stepping, parts = _first(p, model), []
+    stepping, parts = _first(p, x_h, model), []
     for _ in range(MOST_CHUNKS):
         stepping, rows = _attempts(p, stepping, model, clock, rtol)
         parts.append([np.asarray(row) for row in rows])
@@ -209,12 +201,12 @@ def _by_steps(p: Params, model: Model, clock: Clock, rtol: jax.Array) -> tuple[n
 
 
 @partial(jax.jit, static_argnames="model")
-def _first(p: Params, model: Model) -> Stepping:
-    def one(p: Params) -> Stepping:
-        run = _begun(p, model)
+def _first(p: Params, x_h: jax.Array, model: Model) -> Stepping:
+    def one(p: Params, x_h: jax.Array) -> Stepping:
+        run = _begun(p, x_h, model)
         return Stepping(run, jnp.full_like(run.t, FIRST), jnp.zeros((), bool))
 
-    return jax.vmap(one)(p)
+    return jax.vmap(one)(p, x_h)
 
 
 @partial(jax.jit, static_argnames=("model", "clock"))
@@ -252,18 +244,32 @@ def _attempts(
     return stepping, tuple(jnp.swapaxes(row, 0, 1) for row in rows)
 
 
-def logged(batch: Params, model: Model, clock: Clock, dt: float, rtol: float) -> Log:
+@partial(jax.jit, static_argnames="model")
+def _start_rows(p: Params, x_h: jax.Array, model: Model) -> tuple[jax.Array, ...]:
+    return jax.vmap(lambda p, x_h: _row(p, _begun(p, x_h, model), model))(p, x_h)
+
+
+def logged(
+    batch: Params,
+    model: Model,
+    clock: Clock,
+    dt: float,
+    rtol: float,
+    x_h: Iterable[float] | None = None,
+) -> Log:
     """Runs of 10 s of a batch of Params with [N] leaves.
 
-    `dt` is the step of ode4 (s), `rtol` the relative tolerance of the other clocks.
+    `dt` is the step of ode4 (s), `rtol` the relative tolerance of the solvers. `x_h` are first
+    references (rad) in place of xd + Td/K0.
     """
     with jax.enable_x64(True):
         p = canonical(batch)
-        first = jax.vmap(lambda p: _row(p, _begun(p, model), model))(p)
+        begin = jnp.full_like(p.K0, jnp.nan) if x_h is None else jnp.asarray(np.array([*x_h]))
+        first = _start_rows(p, begin, model)
         if clock in ATTEMPTS:
-            rows = _by_steps(p, model, clock, jnp.asarray(rtol))
+            rows = _by_steps(p, begin, model, clock, jnp.asarray(rtol))
         else:
-            rows = _by_stages(p, model, clock, jnp.asarray(dt), round(T_END / dt))
+            rows = _by_stages(p, begin, model, clock, jnp.asarray(dt), round(T_END / dt))
     return _packed([np.column_stack(pair) for pair in zip(first, rows, strict=True)])
 
 
