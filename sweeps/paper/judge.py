@@ -43,7 +43,7 @@ class Region:
 
     @property
     def counted(self) -> pd.DataFrame:
-        """The scenarios that are known: trusted, or converged at a finer step."""
+        """The scenarios that are known."""
         return self.rows[self.rows["trusted"]]
 
     @property

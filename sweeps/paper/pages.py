@@ -95,16 +95,14 @@ def verdict_of(judgement: Judgement) -> str:
 
 
 def _left_out(judgement: Judgement) -> str:
-    """How many scenarios do not count, how many converged at a finer step, and what ode4 prints."""
+    """How many scenarios do not count and why, and what ode4 prints."""
     whole = judgement.regions[0]
     words = ""
-    if "refined" in whole.rows and (n := int((whole.rows["refined"] & whole.rows["trusted"]).sum())):
-        words += f" {n} of {len(whole)} have the converged value of a finer step."
     if whole.left_out:
         words += (
-            f" {whole.left_out} of {len(whole)} are left out of the counts: their numbers are not "
-            "known to the bound of `fic_jax.TRUST` at any step that was tried, as they hang on the "
-            "last bits of a limit cycle. A claim does not hold where one of them is."
+            f" {whole.left_out} of {len(whole)} are not trusted and left out of the counts: a "
+            "change of the parameters by their rounding, or half the step, changes their numbers "
+            "by more than the bound of `fic_jax.TRUST`. A claim does not hold where one of them is."
         )
     if judgement.ode4 is not None:
         words += " Where ode4 at 10 ms prints another number, it stands in brackets."

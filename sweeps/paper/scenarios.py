@@ -1,8 +1,8 @@
 """The paper's scenarios, once: rows of a table, read from the library's sweep files.
 
 The report and the figures simulate these rows. All of it is computed in double precision (float64).
-Each metric has a column, and beside it `<metric>_trusted`: whether its estimated error is within
-the bound of `fic_jax.TRUST`.
+Each metric has a column, and beside it, if a claim uses it, `<metric>_trusted`: whether its
+error is within the bound of `fic_jax.TRUST`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,7 +22,6 @@ from sweeps.paper.logs import T_END, Log, Mean
 from sweeps.plan.grid import Grid
 from sweeps.spec.reading import load
 
-FINER = (4, 16)  # parts of the plant step that are tried where a metric is not trusted
 JUDGED = (  # the metrics that claims use
     "nmse",
     "nmse_tail",
@@ -32,8 +31,10 @@ JUDGED = (  # the metrics that claims use
     "contact_time",
     "contact_lost",
 )
-# What two equal runs may differ by: a run that this changes hangs on the last bits of its numbers.
-ROUNDING = 1e-9
+# Twins of a run: where their parameters, changed by parts of 1e-9 of themselves, change a metric,
+# it hangs on the last bits of its numbers. Each catches what the others miss.
+TWINS, ROUNDING = 3, 1e-9
+SAMPLE = 1e-3  # s, between samples that show a motion
 STUDIES = {  # what the claims call a study -> its sweeps
     "welded": ("paper-welded",),  # fig:4 left, fig:6
     "contact": ("paper-contact",),  # fig:4 right, fig:7
@@ -73,40 +74,70 @@ def params(rows: pd.DataFrame) -> Params:
 def measured(rows: pd.DataFrame, model: Model, dt: float) -> pd.DataFrame:
     """The rows with their metrics as further columns; `model` but for the rows' contact.
 
-    With located switches, rows that are not trusted are simulated again at finer plant steps: a
-    metric that is trusted there gets its converged value (`refined`); else it keeps its own.
+    Beside the error estimate of located switches stand TWINS runs with parameters changed by their
+    rounding: a metric is trusted if they agree too. With `rk4`, whose estimate would be of what
+    located switches change, the twins have half the step.
     """
     parts = []
     for contact, part in rows.reset_index(drop=True).groupby("contact", sort=False):
         chosen = replace(model, contact=contact)  # type: ignore[arg-type]
-        table = _evaluated(part, chosen, dt).assign(refined=False)
-        for finer in FINER if model.integrator == "rk4_events" else ():
-            doubted = ~table[[f"{name}_trusted" for name in JUDGED]].all(axis=1)
-            if doubted.any():
-                _replace_doubted(table, _evaluated(part[doubted], chosen, dt / finer))
-        parts.append(table)
+        if model.integrator == "rk4_events":
+            parts.append(_estimated(part, chosen, dt))
+        else:
+            own, twins = _swept(part, chosen, dt), _swept(_twins(part), chosen, dt / 2)
+            parts.append(own.assign(**_known(own, twins)))
     return pd.concat(parts)
 
 
-def _evaluated(rows: pd.DataFrame, model: Model, dt: float) -> pd.DataFrame:
-    """The rows with their metrics, and whether each is trusted."""
+def _swept(rows: pd.DataFrame, model: Model, dt: float) -> pd.DataFrame:
+    """The rows with their metrics."""
+    with jax.enable_x64(True):
+        return rows.assign(**vars(sweep(params(rows), model=model, dt=dt, n_steps=_steps(dt))))
+
+
+def _estimated(rows: pd.DataFrame, model: Model, dt: float) -> pd.DataFrame:
+    """The rows with their metrics, and whether estimate and twins trust each."""
+    every, n = pd.concat([rows, _twins(rows)]), len(rows)
     with jax.enable_x64(True):
         metrics, errors = sweep(
-            params(rows), model=model, dt=dt, n_steps=round(T_END / dt), error_estimate=True
+            params(every), model=model, dt=dt, n_steps=_steps(dt), error_estimate=True
         )
-        known = trusted(metrics, errors, T_END)
-    verdicts = {f"{name}_trusted": np.asarray(getattr(known, name), bool) for name in TRUST}
-    return rows.assign(**vars(metrics), **verdicts)
+        estimate = trusted(metrics, errors, T_END)
+    table = every.assign(**vars(metrics))
+    known = _known(table[:n], table[n:])
+    for name in known:
+        own = np.asarray(getattr(estimate, name.removesuffix("_trusted")), bool)[:n]
+        known[name] = known[name] & own
+    return table[:n].assign(**known)
 
 
-def _replace_doubted(table: pd.DataFrame, finer: pd.DataFrame) -> None:
-    """Put values that are trusted at a finer step in the place of those that are not."""
-    for name in TRUST:
-        known = f"{name}_trusted"
-        at = finer.index[finer[known] & ~table.loc[finer.index, known]]
-        table.loc[at, [name, known]] = finer.loc[at, [name, known]]
-        if name in JUDGED:
-            table.loc[at, "refined"] = True
+def _steps(dt: float) -> int:
+    return round(T_END / dt)
+
+
+def _twins(rows: pd.DataFrame) -> pd.DataFrame:
+    """The rows TWINS times, each time with their parameters changed by their rounding."""
+    return pd.concat([rounded(rows, size) for size in range(1, TWINS + 1)])
+
+
+def rounded(rows: pd.DataFrame, size: int = 1) -> pd.DataFrame:
+    """The rows with their parameters changed by a multiple of their rounding."""
+    signs = {"K0": 1, "Fmax": -1, "Kenv": 1, "Denv": -1, "I": 1}
+    return rows.assign(
+        **{name: rows[name] * (1.0 + sign * size * ROUNDING) for name, sign in signs.items()}
+    )
+
+
+def _known(own: pd.DataFrame, twins: pd.DataFrame) -> dict[str, np.ndarray]:
+    """Columns `<metric>_trusted`: whether the twins agree with their row within its bound."""
+    found = {}
+    for name in JUDGED:
+        value = own[name].to_numpy(float)
+        bound = np.asarray(TRUST[name].error(np.where(np.isfinite(value), value, 0.0), T_END))
+        others = twins[name].to_numpy(float).reshape(-1, len(own))
+        with np.errstate(invalid="ignore"):
+            found[f"{name}_trusted"] = ((others == value) | (abs(others - value) <= bound)).all(0)
+    return found
 
 
 def motions(rows: pd.DataFrame, model: Model, dt: float) -> xr.Dataset:
@@ -146,8 +177,13 @@ class Reading:
 
     @property
     def located(self) -> bool:
-        """Whether its numbers are those of the motion, and not of a program's steps."""
+        """Whether switches are located."""
         return self.clock == "period" and self.model.integrator == "rk4_events"
+
+    @property
+    def resolved(self) -> bool:
+        """Whether its numbers are those of the motion, and not of a program's steps."""
+        return self.located or (self.clock == "period" and self.dt <= SAMPLE)
 
     def as_printed(self) -> "Reading":
         """The same at the reading's own period with ode4 and its smeared switches."""
@@ -173,35 +209,13 @@ def run(rows: pd.DataFrame, reading: Reading) -> pd.DataFrame:
 def _logged(rows: pd.DataFrame, reading: Reading, dt: float) -> pd.DataFrame:
     """The rows with metrics of what a program logs.
 
-    Its steps are part of such a reading: they have no limit. A metric is trusted if a change of the
-    parameters by their rounding does not move it by more than its bound.
+    Its steps are part of such a reading: they have no limit. The twins have the same.
     """
-    both = pd.concat([rows, rounded(rows)], ignore_index=True)
-    n, parts = len(rows), []
-    for _, part in both.groupby("contact", sort=False):
+    every, n, parts = pd.concat([rows, _twins(rows)], ignore_index=True), len(rows), []
+    for _, part in every.groupby("contact", sort=False):
         parts.append(logs.measured(log(part, reading, dt), part, reading.mean))
     table = pd.concat(parts).sort_index()
-    own, twin = table[:n].set_axis(rows.index), table[n:].set_axis(rows.index)
-    known = {f"{name}_trusted": _agree(name, own[name], twin[name]) for name in JUDGED}
-    return own.assign(**known, refined=False)
-
-
-def rounded(rows: pd.DataFrame) -> pd.DataFrame:
-    """The rows with their parameters changed by their rounding."""
-    return rows.assign(
-        **{
-            name: rows[name] * (1.0 + sign * ROUNDING)
-            for name, sign in (("K0", 1), ("Fmax", -1), ("Kenv", 1), ("Denv", -1), ("I", 1))
-        }
-    )
-
-
-def _agree(name: str, one: pd.Series, other: pd.Series) -> np.ndarray:
-    """Whether two runs agree in a metric, within its bound."""
-    a, b = one.to_numpy(float), other.to_numpy(float)
-    bound = np.asarray(TRUST[name].error(np.where(np.isfinite(a), a, 0.0), T_END))
-    with np.errstate(invalid="ignore"):
-        return np.asarray((a == b) | (abs(a - b) <= bound))
+    return table[:n].assign(**_known(table[:n], table[n:]))
 
 
 def log(rows: pd.DataFrame, reading: Reading, dt: float) -> Log:
@@ -231,16 +245,13 @@ def study(name: str, reading: Reading) -> pd.DataFrame:
     return run(scenarios(*STUDIES[name]), reading)
 
 
-def study_logs(name: str, reading: Reading, dt: float) -> Iterator[tuple[Log, Log]]:
-    """Logs of a study, one for each row of `study`, in its order; beside each its rounded twin.
-
-    `dt` is the step of the samples where the reading's numbers are those of the motion.
-    """
+def study_logs(name: str, reading: Reading) -> Iterator[tuple[Log, Log]]:
+    """Logs of a study, one for each row of `study`, in its order; beside each its rounded twin."""
     rows = reading.of(scenarios(*STUDIES[name]))
     for period, step in reading.steps():
         here = rows.assign(period=period)
         both = pd.concat([here, rounded(here)], ignore_index=True)
-        runs = log(both, reading, dt if reading.located else step).runs()
+        runs = log(both, reading, min(step, SAMPLE) if reading.located else step).runs()
         yield from zip(runs[: len(rows)], runs[len(rows) :], strict=True)
 
 

@@ -13,7 +13,6 @@ from fic_jax.params import canonical
 from sweeps.paper.logs import Floats, Log, average
 from sweeps.paper.scenarios import Reading, study, study_logs
 
-SAMPLE = 1e-3  # s, between samples where switches are located
 SPIKE = 0.1  # s after the first touch in which a torque spike falls
 SETTLED = 1.0  # s after the first touch, "a transient of about 1 s"
 SWING = 0.05  # of Td: a turn of the torque counts from here
@@ -38,14 +37,14 @@ def observed(reading: Reading) -> pd.DataFrame:
     touch on; `halfway` and `last`, the mean error over the half second after 5 s and over the last
     one; `left` = last/halfway; `error`, the largest error after the touch.
 
-    Where switches are located, `spike` and `error` hold the torque at the touch itself, which no
+    Where the motion is resolved, `spike` and `error` hold the torque at the touch itself, which no
     sample shows: a damper's torque is highest there.
     """
     table = approach(reading)
-    at_touch = _touch_torque if reading.located else _nothing
+    at_touch = _touch_torque if reading.resolved else _nothing
     own, twins = [], []
     rows = (row for _, row in table.iterrows())
-    for row, pair in zip(rows, study_logs("impact", reading, SAMPLE), strict=True):
+    for row, pair in zip(rows, study_logs("impact", reading), strict=True):
         for found, run in zip((own, twins), pair, strict=True):
             found.append(_seen(run, at_touch(row, run, reading.model)))
     seen, twin = pd.DataFrame(own), pd.DataFrame(twins)

@@ -13,7 +13,8 @@ from sweeps.paper.superposition import bodies, gains, simulate
 
 SEED = 2020
 DRAWS = 256
-SAME = 0.01  # of the energy at the start, or of the swing: what a claim allows
+# What half the step may change: a part of a share, or of 1. It is what a claim allows.
+SAME = 0.01
 
 
 def autonomous(reading: Reading) -> Model:
@@ -81,8 +82,12 @@ def superposed(model: Model) -> pd.DataFrame:
 def with_trust(
     table: pd.DataFrame, seen: Mapping[str, np.ndarray], finer: Mapping[str, np.ndarray]
 ) -> pd.DataFrame:
-    """The table with what was seen; trusted is what half the step moves by less than SAME."""
-    known = {f"{name}_trusted": abs(seen[name] - finer[name]) <= SAME for name in seen}
+    """The table with what was seen; a share is trusted if half the step changes it by less
+    than SAME."""
+    known = {
+        f"{name}_trusted": abs(seen[name] - finer[name]) <= SAME * np.maximum(seen[name], 1.0)
+        for name in seen
+    }
     return table.assign(**seen, **known)
 
 

@@ -12,6 +12,7 @@ import pandas as pd
 from fic_jax import Model, Params, init, step
 from fic_jax.params import canonical
 from sweeps.paper.scenarios import (
+    SAMPLE,
     T_END,
     Reading,
     logs,
@@ -66,7 +67,8 @@ def _without_first_reference(case: pd.DataFrame, reading: Reading) -> pd.DataFra
     found = {}
     for period, dt in reading.steps():
         rows = pd.concat([case, rounded(case)]).assign(period=period, x_init=NUDGE)
-        steps = (dt, dt / 2) if reading.located else (dt,)
+        fine = min(dt, SAMPLE)
+        steps = (fine, fine / 2) if reading.resolved else (dt,)
         nmse = np.concatenate([_nmse_from(rows, reading, h) for h in steps])
         same = bool(np.ptp(nmse) <= SAME * nmse[0])
         found[period] = {"nmse": float(nmse[0]), "trusted": same}
