@@ -97,6 +97,11 @@ class Judgement:
         return [region.query for region in (own, other) if region]
 
     @property
+    def whole(self) -> pd.DataFrame:
+        """The scenarios that the paper speaks of."""
+        return self.regions[0].rows
+
+    @property
     def verdict(self) -> Verdict:
         """Whether the claim holds: everywhere, in a region, or in none."""
         if not self.where:

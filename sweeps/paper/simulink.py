@@ -35,8 +35,9 @@ LIMIT = T_END / 50  # s, the longest step: Simulink's default
 FIRST = 1e-3  # s, the first step
 ATOL = 1e-6  # rad, rad/s
 SAFETY, LEAST, MOST = 0.9, 0.2, 10.0  # what the error estimate may make of a step
-CHUNK = 2000  # attempts at a step in one compiled scan
-MOST_CHUNKS = 20
+CHUNK = 1000  # attempts at a step in one compiled scan
+MOST_CHUNKS = 40
+LANES = 128  # runs in one program
 
 
 
@@ -262,15 +263,20 @@ def logged(
     `dt` is the step of ode4 (s), `rtol` the relative tolerance of the solvers. `x_h` are first
     references (rad) in place of xd + Td/K0.
     """
+    n = len(np.asarray(batch.K0))
+    lanes = -(-n // LANES) * LANES  # padded by the last run: one program for every N
+    filled = jax.tree.map(lambda leaf: np.pad(np.asarray(leaf), (0, lanes - n), "edge"), batch)
+    begin = np.full(lanes, np.nan)
+    if x_h is not None:
+        begin[:n] = [*x_h]
     with jax.enable_x64(True):
-        p = canonical(batch)
-        begin = jnp.full_like(p.K0, jnp.nan) if x_h is None else jnp.asarray(np.array([*x_h]))
+        p = canonical(filled)
         first = _start_rows(p, begin, model)
         if clock in ATTEMPTS:
             rows = _by_steps(p, begin, model, clock, jnp.asarray(rtol))
         else:
             rows = _by_stages(p, begin, model, clock, jnp.asarray(dt), round(T_END / dt))
-    return _packed([np.column_stack(pair) for pair in zip(first, rows, strict=True)])
+    return _packed([np.column_stack(pair)[:n] for pair in zip(first, rows, strict=True)])
 
 
 def _packed(rows: list[Floats]) -> Log:
