@@ -16,6 +16,7 @@ from fic_jax.metrics import SETTLING_BAND
 Floats = NDArray[np.float64]
 Mean = Literal["time", "samples"]
 T_END = 10.0  # s, of every simulation of the paper
+MEANS = ("nmse", "nmse_tail", "steady_error")
 LASTING = 0.05  # of the run: how long before its end a torque that has converged stays in its band
 
 
@@ -37,32 +38,30 @@ class Log:
         ]
 
 
-def measured(log: Log, rows: pd.DataFrame, mean: Mean) -> pd.DataFrame:
+def measured(log: Log, rows: pd.DataFrame) -> pd.DataFrame:
     """The rows with metrics of their runs: names and definitions of `fic_jax.Metrics`.
 
-    T is linear in time between samples. With the mean `samples` the means of squares and of the
-    error are over samples after the start, whatever time lies between them.
+    T is linear in time between samples. MEANS come once more, `<metric>_of_samples`, as means over
+    the samples after the start, whatever time lies between them.
     """
     metrics = [
-        _metrics(run, row.Td, min(row.Td, row.Fmax), row.gap, row.contact == "welded", mean)
+        _metrics(run, row.Td, min(row.Td, row.Fmax), row.gap, row.contact == "welded")
         for run, row in zip(log.runs(), rows.itertuples(), strict=True)
     ]
     return rows.assign(**pd.DataFrame(metrics, index=rows.index))
 
 
-def _metrics(
-    run: Log, Td: float, T_n: float, gap: float, welded: bool, mean: Mean
-) -> dict[str, float]:
+def _metrics(run: Log, Td: float, T_n: float, gap: float, welded: bool) -> dict[str, float]:
     eps = (run.tau_env - Td) / T_n
-    middle = T_END / 2
+    averaged = {"nmse": (eps**2, 0.0), "nmse_tail": (eps**2, T_END / 2)}
+    averaged |= {"steady_error": (eps, T_END / 2)}
     touching = np.full(run.t.shape, True) if welded else run.x >= gap
     touched = bool(touching.any())
     first = int(np.argmax(touching))
     lost = ~touching[first:]
     return {
-        "nmse": average(run.t, eps**2, 0.0, mean),
-        "nmse_tail": average(run.t, eps**2, middle, mean),
-        "steady_error": average(run.t, eps, middle, mean),
+        **{name: average(run.t, *of, "time") for name, of in averaged.items()},
+        **{f"{name}_of_samples": average(run.t, *of, "samples") for name, of in averaged.items()},
         "convergence_time": _settled(run.t, run.tau_env / T_n - 1.0),
         "peak_torque": float(np.abs(run.tau_env).max()),
         "overshoot": max(float((run.tau_env / T_n).max()) - 1.0, 0.0),
