@@ -19,7 +19,7 @@ STIFFNESSES = (50.0, 100.0, 200.0)  # N*m/rad, K0 of an approach with x~ as the 
 Td = 5.0  # N*m, of it
 ERROR = Reading(Model(expectation="error").with_events())
 STAGES = Reading(clock="stages")
-PARTS = ("C1 run", "C1 tail", "C5 tail")
+PARTS = tuple(part.id for part in readings.PARTS)
 
 
 def measure() -> xr.Dataset:
@@ -103,7 +103,8 @@ def rows(data: xr.Dataset) -> pd.DataFrame:
     alone, best = readings.claims_alone(data), _best(data)
     ranked = readings.ranking(data)
     own = ranked[ranked["default"]].iloc[0]
-    plain = ranked[~ranked["setting"].str.contains("not welded")].iloc[0]
+    both = ranked["setting"].str.contains(readings.BOTH)
+    plain, like_best = ranked[~both].iloc[0], ranked[both]["fit"]
     verdict = alone["verdict"].sel(reading=best)
     share = {
         f"share_{part.replace(' ', '_')}": 100 * float(data["score"].sel(reading=best, claim=part))
@@ -116,6 +117,9 @@ def rows(data: xr.Dataset) -> pd.DataFrame:
         "plain": plain["reading"],
         "plain_fit": plain["fit"],
         "count": len(ranked),
+        "both_count": len(like_best),
+        "both_least": like_best.min(),
+        "both_median": like_best.median(),
         "holding": _ids(alone, verdict == 2),
         "partly": _ids(alone, verdict == 1),
         "open": _ids(alone, verdict == 0),
