@@ -32,10 +32,9 @@ class Log:
 
     def runs(self) -> "list[Log]":
         """Each run alone, its leaves [k]."""
-        return [
-            Log(*(leaf[i, : np.count_nonzero(~np.isnan(self.t[i]))] for leaf in vars(self).values()))
-            for i in range(len(self.t))
-        ]
+        lengths = np.count_nonzero(~np.isnan(self.t), axis=1)
+        leaves = vars(self).values()
+        return [Log(*(leaf[i, :k] for leaf in leaves)) for i, k in enumerate(lengths)]
 
 
 def measured(log: Log, rows: pd.DataFrame) -> pd.DataFrame:
@@ -44,9 +43,10 @@ def measured(log: Log, rows: pd.DataFrame) -> pd.DataFrame:
     T is linear in time between samples. MEANS come once more, `<metric>_of_samples`, as means over
     the samples after the start, whatever time lies between them.
     """
+    columns = (rows[name].to_numpy() for name in ("Td", "Fmax", "gap", "contact"))
     metrics = [
-        _metrics(run, row.Td, min(row.Td, row.Fmax), row.gap, row.contact == "welded")
-        for run, row in zip(log.runs(), rows.itertuples(), strict=True)
+        _metrics(run, Td, min(Td, Fmax), gap, contact == "welded")
+        for run, Td, Fmax, gap, contact in zip(log.runs(), *columns, strict=True)
     ]
     return rows.assign(**pd.DataFrame(metrics, index=rows.index))
 

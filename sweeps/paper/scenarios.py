@@ -33,7 +33,8 @@ JUDGED = (  # the metrics that claims use
 )
 # Twins of a run: where their parameters, changed by parts of 1e-9 of themselves, change a metric,
 # it hangs on the last bits of its numbers. Each catches what the others miss.
-TWINS, ROUNDING = 2, 1e-9
+TWINS, ROUNDING = 6, 1e-9
+LOGGED_TWINS = 2  # of runs that are slower
 SAMPLE = 1e-3  # s, between samples that show a motion
 STUDIES = {  # what the claims call a study -> its sweeps
     "welded": ("paper-welded",),  # fig:4 left, fig:6
@@ -89,6 +90,11 @@ def measured(rows: pd.DataFrame, model: Model, dt: float) -> pd.DataFrame:
     return pd.concat(parts)
 
 
+def trusted_only(table: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
+    """The table's metrics of these names, NaN where they are not trusted."""
+    return table.assign(**{name: table[name].where(table[f"{name}_trusted"]) for name in names})
+
+
 def _swept(rows: pd.DataFrame, model: Model, dt: float) -> pd.DataFrame:
     """The rows with their metrics."""
     with jax.enable_x64(True):
@@ -115,9 +121,9 @@ def _steps(dt: float) -> int:
     return round(T_END / dt)
 
 
-def _twins(rows: pd.DataFrame) -> pd.DataFrame:
-    """The rows TWINS times, each time with their parameters changed by their rounding."""
-    return pd.concat([rounded(rows, size) for size in range(1, TWINS + 1)])
+def _twins(rows: pd.DataFrame, n: int = TWINS) -> pd.DataFrame:
+    """The rows `n` times, each time with their parameters changed by their rounding."""
+    return pd.concat([rounded(rows, size) for size in range(1, n + 1)])
 
 
 def rounded(rows: pd.DataFrame, size: int = 1) -> pd.DataFrame:
@@ -135,7 +141,8 @@ def _known(
     found = {}
     for name in names:
         value = own[name].to_numpy(float)
-        bound = np.asarray(TRUST[name.removesuffix("_of_samples")].error(np.where(np.isfinite(value), value, 0.0), T_END))
+        scale = np.where(np.isfinite(value), value, 0.0)
+        bound = np.asarray(TRUST[name.removesuffix("_of_samples")].error(scale, T_END))
         others = twins[name].to_numpy(float).reshape(-1, len(own))
         with np.errstate(invalid="ignore"):
             found[f"{name}_trusted"] = ((others == value) | (abs(others - value) <= bound)).all(0)
@@ -226,7 +233,8 @@ def _logged(rows: pd.DataFrame, reading: Reading, dt: float) -> pd.DataFrame:
 
     Its steps are part of such a reading: they have no limit. The twins have the same.
     """
-    every, n, parts = pd.concat([rows, _twins(rows)], ignore_index=True), len(rows), []
+    twins, n, parts = _twins(rows, LOGGED_TWINS), len(rows), []
+    every = pd.concat([rows, twins], ignore_index=True)
     for _, part in every.groupby("contact", sort=False):
         parts.append(logs.measured(log(part, reading, dt), part))
     table = pd.concat(parts).sort_index()
@@ -246,11 +254,12 @@ def log(rows: pd.DataFrame, reading: Reading, dt: float) -> Log:
 def _with_starts(rows: pd.DataFrame, motion: xr.Dataset) -> Log:
     """Time histories as a log, which begins with the start: nothing touches before it moves."""
     n = len(rows)
-    start = {"x": rows["x_init"], "v": rows["v_init"], "tau_env": np.zeros(n), "diverging": 0.0}
+    still = np.zeros(n)
+    starts = {"x": rows["x_init"], "v": rows["v_init"], "tau_env": still, "diverging": still}
     t = np.broadcast_to(np.append(0.0, motion["time"].values), (n, motion.sizes["time"] + 1))
     columns = {
-        name: np.column_stack([np.broadcast_to(first, n), motion[name].values.astype(float)])
-        for name, first in start.items()
+        name: np.column_stack([np.asarray(first, float), motion[name].values.astype(float)])
+        for name, first in starts.items()
     }
     return Log(t, **columns)
 

@@ -27,7 +27,7 @@ from fic_jax.environment import interaction_torque
 from fic_jax.params import canonical
 from fic_jax.rk4 import net_torque
 from fic_jax.simulation import Memory, decide
-from sweeps.paper.logs import Floats, Log, T_END
+from sweeps.paper.logs import T_END, Floats, Log
 
 Clock = Literal["stages", "both at stages", "RK23", "RK45", "ode23s"]
 CLOCKS: tuple[Clock, ...] = get_args(Clock)
@@ -38,7 +38,6 @@ SAFETY, LEAST, MOST = 0.9, 0.2, 10.0  # what the error estimate may make of a st
 CHUNK = 1000  # attempts at a step in one compiled scan
 MOST_CHUNKS = 40
 LANES = 128  # runs in one program
-
 
 
 @jax.tree_util.register_dataclass
@@ -65,7 +64,7 @@ def _begun(p: Params, x_h: jax.Array, model: Model) -> Run:
 
 def _decided(p: Params, run: Run, y: jax.Array, measured: jax.Array, model: Model) -> Run:
     """The run after Algorithms 1 and 2: with a period of one step, Algorithm 2 always ticks."""
-    memory, attractor = decide(p, run.memory, *y, measured, model, p.period)
+    memory, attractor = decide(p, run.memory, y[0], y[1], measured, model, p.period)
     return replace(run, memory=memory, attractor=attractor)
 
 
@@ -79,7 +78,7 @@ def _feedback(p: Params, run: Run, y: jax.Array, model: Model) -> jax.Array:
     """The torque that Algorithm 2 reads at y, N*m."""
     if model.feedback == "motor":
         return torque(run.memory.x_h - y[0], run.attractor, p)
-    return interaction_torque(*y, p, model)
+    return interaction_torque(y[0], y[1], p, model)
 
 
 def _moved(p: Params, run: Run, t: jax.Array, y: jax.Array, model: Model) -> Run:
@@ -88,8 +87,9 @@ def _moved(p: Params, run: Run, t: jax.Array, y: jax.Array, model: Model) -> Run
 
 def _row(p: Params, run: Run, model: Model) -> tuple[jax.Array, ...]:
     """The fields of a Log at the end of a step."""
+    x, v = run.y
     diverging = run.attractor.diverging.astype(run.t.dtype)
-    return run.t, *run.y, interaction_torque(*run.y, p, model), diverging
+    return run.t, x, v, interaction_torque(x, v, p, model), diverging
 
 
 # --- ode4 ----------------------------------------------------------------------------------------
@@ -270,12 +270,12 @@ def logged(
     if x_h is not None:
         begin[:n] = [*x_h]
     with jax.enable_x64(True):
-        p = canonical(filled)
-        first = _start_rows(p, begin, model)
+        p, reference = canonical(filled), jnp.asarray(begin)
+        first = _start_rows(p, reference, model)
         if clock in ATTEMPTS:
-            rows = _by_steps(p, begin, model, clock, jnp.asarray(rtol))
+            rows = _by_steps(p, reference, model, clock, jnp.asarray(rtol))
         else:
-            rows = _by_stages(p, begin, model, clock, jnp.asarray(dt), round(T_END / dt))
+            rows = _by_stages(p, reference, model, clock, jnp.asarray(dt), round(T_END / dt))
     return _packed([np.column_stack(pair)[:n] for pair in zip(first, rows, strict=True)])
 
 

@@ -42,7 +42,8 @@ def observed(reading: Reading) -> pd.DataFrame:
     """
     table = approach(reading)
     at_touch = _touch_torque if reading.resolved else _nothing
-    own, twins = [], []
+    own: list[dict[str, float]] = []
+    twins: list[dict[str, float]] = []
     rows = (row for _, row in table.iterrows())
     for row, pair in zip(rows, study_logs("impact", reading), strict=True):
         for found, run in zip((own, twins), pair, strict=True):

@@ -11,18 +11,9 @@ import pandas as pd
 
 from fic_jax import Model, Params, init, step
 from fic_jax.params import canonical
-from sweeps.paper.scenarios import (
-    SAMPLE,
-    T_END,
-    Reading,
-    logs,
-    params,
-    rounded,
-    run,
-    scenarios,
-    simulink,
-    study,
-)
+from sweeps.paper import logs, simulink
+from sweeps.paper.logs import T_END
+from sweeps.paper.scenarios import SAMPLE, Reading, params, rounded, run, scenarios, study
 
 SAME = 0.01  # relative change of an nmse with the step and with rounding that is none
 NUDGE = 1e-12  # rad, beyond xd = 0: Algorithm 2 searches at once, and does not set x_h to Td/K0
@@ -36,9 +27,9 @@ def welded(reading: Reading) -> pd.DataFrame:
 def worst_case(reading: Reading) -> pd.DataFrame:
     """`welded` beside the case named, K0 = 1 and Td = 1, at the same period.
 
-    Columns: its nmse (`named`), and with a tenth of sigma its nmse and tail (`finer`,
-    `finer_tail`), with five times sigma its nmse (`wider`), and without the first reference
-    xd + Td/K0, when the search begins at xd, its nmse (`without`).
+    Columns: its nmse (`named`), and with a tenth of sigma its nmse, if it is trusted, and tail
+    (`finer`, `finer_tail`), with five times sigma its nmse (`wider`), and without the first
+    reference xd + Td/K0, when the search begins at xd, its nmse (`without`).
     """
     return _worst_case(reading.simplest(scenarios("paper-welded")))
 
@@ -57,8 +48,7 @@ def _worst_case(reading: Reading) -> pd.DataFrame:
     return table.assign(
         named=at.map(named.nmse),
         named_trusted=at.map(named.nmse_trusted),
-        finer=at.map(finer.nmse),
-        finer_trusted=at.map(finer.nmse_trusted),
+        finer=at.map(finer.nmse.where(finer.nmse_trusted)),
         finer_tail=at.map(finer.nmse_tail),
         wider=at.map(wider.nmse),
         without=at.map(without["nmse"]),

@@ -5,6 +5,7 @@ from functools import lru_cache
 import numpy as np
 import pandas as pd
 import xarray as xr
+from scipy.integrate import OdeSolver
 
 from fic_jax import Model, Params
 from sweeps.paper import accepted
@@ -30,7 +31,7 @@ def measure() -> xr.Dataset:
 @lru_cache
 def _numbers() -> dict[str, float]:
     """Numbers of single readings; torques in N*m."""
-    found = {}
+    found: dict[str, float] = {}
     far = scenarios("paper-stiffness", K0=STIFFNESSES).query("Kenv == 100")
     T = motions(far, ERROR.model, LOCATED.dt)["tau_env"].isel(time=-1).values
     found |= {f"T_{K0:g}": float(last) for K0, last in zip(STIFFNESSES, T, strict=True)}
@@ -38,7 +39,7 @@ def _numbers() -> dict[str, float]:
     found["below"] = float((seen["highest"] < 0).sum())
     welded = study("welded", STAGES).query("K0 >= 1 and Td <= Fmax")
     found["stages_nmse"] = float(welded["nmse"].max())
-    worst = welded.loc[welded["nmse"].idxmax()]
+    worst = welded.iloc[int(welded["nmse"].argmax())]
     found |= {"stages_K0": float(worst["K0"]), "stages_Td": float(worst["Td"])}
     stiff = welded.query("K0 == 1000")
     found |= {"stages_1000": float(stiff["nmse"].max())}
@@ -53,7 +54,7 @@ def _numbers() -> dict[str, float]:
 APPROACHES = tuple(Params(Kenv=Kenv, gap=0.5, xd=0.5) for Kenv in (50.0, 100.0, 500.0))
 
 
-def _means(p: Params, solver: type[accepted.OdeSolver]) -> tuple[float, float]:
+def _means(p: Params, solver: type[OdeSolver]) -> tuple[float, float]:
     """nmse as a mean over time, and over logged steps."""
     run = accepted.accepted_steps(p, solver)
     t, square = run["t"].values, (run["tau_env"].values / Td - 1.0) ** 2

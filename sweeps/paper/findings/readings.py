@@ -1,8 +1,8 @@
 """The claims under every reading of the paper: the choices of the controller, and of the program.
 
 The old choices (law, divergence, peak, feedback) are combined with each other. How Simulink would
-run the search, and what x~ means in Algorithm 2, are combined with each other and with the law. The
-paper ran the welded studies with ode4 and contact with a variable-step solver: so are both combined.
+run the search, and what x~ means in Algorithm 2, are combined with each other and with the law. As
+the paper ran welded studies with ode4 and contact with a variable step, so do some readings.
 """
 
 import itertools
@@ -118,7 +118,8 @@ def measure(
 
     # Two at a time: a program is compiled by one core, and a short run occupies one.
     with ThreadPoolExecutor(2) as workers:
-        judged = dict(zip(choices, workers.map(under, choices), strict=True))
+        found = (np.array(cells) for cells in workers.map(under, choices))
+        judged = dict(zip(choices, found, strict=True))
     by_ode4 = np.array([id.split()[0] in WELDED for id in ids])
     for one, other in itertools.product(choices, choices):
         if one.setting in STAGES and other.setting in STEPS and one.model == other.model:
