@@ -1,7 +1,7 @@
 """A run whose steps the solver chooses: Algorithms 1 and 2 once per accepted step.
 
 What happens to a recursion without a period of its own in a variable-step simulation, as the
-paper's of contact (ode23t). Simulink's default step limit is the simulated time over 50.
+paper's of contact (ode23t). The solvers are scipy's; `simulink` runs many at once with its own.
 """
 
 from collections.abc import Iterator
@@ -19,10 +19,10 @@ from fic_jax.environment import interaction_torque
 from fic_jax.params import canonical
 from fic_jax.rk4 import net_torque
 from fic_jax.simulation import Memory, decide
+from sweeps.paper.logs import T_END
+from sweeps.paper.simulink import ATOL, FIRST, LIMIT
 
-T_END = 10.0  # s
-LIMIT = T_END / 50  # s, longest step
-TOLERANCE = {"rtol": 1e-3, "atol": 1e-6}  # Simulink's relative default, and its absolute start
+TOLERANCE = {"rtol": 1e-3, "atol": ATOL}  # Simulink's relative default, and its absolute start
 SOLVERS: dict[str, type[OdeSolver]] = {"Radau": Radau, "RK23": RK23}  # implicit as ode23t; explicit
 MODEL = Model(contact="hard_stop")
 MOST_STEPS = 20_000
@@ -54,7 +54,7 @@ def _rows(p: Params, solver: type[OdeSolver], limit: float) -> Iterator[tuple[fl
     """Time and interaction torque after each step; the law is held for a step, as everywhere."""
     state = init(p, MODEL)
     memory, measured = state.memory, state.measured
-    t, y, h = 0.0, np.array([float(p.x_init), float(p.v_init)]), None
+    t, y, h = 0.0, np.array([float(p.x_init), float(p.v_init)]), FIRST
     yield t, float(measured)
     for _ in range(MOST_STEPS):
         memory, attractor = _decided(p, memory, y, measured)
@@ -66,7 +66,7 @@ def _rows(p: Params, solver: type[OdeSolver], limit: float) -> Iterator[tuple[fl
             y,
             T_END,
             max_step=limit,
-            first_step=None if h is None else min(h, T_END - t),
+            first_step=min(h, T_END - t),
             **TOLERANCE,
         )
         run.step()
