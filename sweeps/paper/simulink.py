@@ -120,10 +120,11 @@ def _by_stages(
             run = decided(run, y4 := y + dt * k3)
             k4 = _slope(p, run, y4, model)
             y = y + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-            run = _moved(p, run, (k + 1) * dt, y, model)
+            run = _moved(p, run, k * dt, y, model)
             return run, _row(p, run, model)
 
-        return jax.lax.scan(step, _begun(p, x_h, model), jnp.arange(n, dtype=jnp.int32))[1]
+        numbers = jnp.arange(1, n + 1, dtype=dt.dtype)
+        return jax.lax.scan(step, _begun(p, x_h, model), numbers)[1]
 
     return jax.vmap(one)(p, x_h)
 

@@ -1,4 +1,4 @@
-"""Runs as Simulink would make them: scipy's steps, a plain loop over ode4's stages, what is logged."""
+"""Runs as Simulink would make them: scipy's steps, a plain loop over ode4's stages, logs."""
 
 import numpy as np
 import pytest

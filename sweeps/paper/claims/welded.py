@@ -98,7 +98,7 @@ def _streamed(p: Params, model: Model, dt: jax.Array, n: jax.Array) -> jax.Array
 
     at_rest = (p.Td / jnp.minimum(p.Td, p.Fmax)) ** 2
     _, _, total = jax.lax.fori_loop(0, n, body, (start, at_rest, jnp.zeros_like(dt)))
-    return total / n
+    return total / n.astype(total.dtype)
 
 
 def unreachable(reading: Reading) -> pd.DataFrame:
