@@ -149,9 +149,8 @@ def test_figures_simulate_the_scenarios_that_they_label(monkeypatch):
     np.testing.assert_allclose(own["time"], motion.t, rtol=1e-12)
     assert list(runs["Td"]) == [1.0, 5.0, 20.0] and runs.attrs["gap"] == 0.0
     near, far = environments.simulate(0.01)
-    damped = evaluate(
-        Params(Denv=63.2, gap=0.5, xd=0.501), model=Model().with_events(), dt=0.01, n_steps=20
-    )
+    free = Params(Denv=63.2, gap=0.5, xd=0.501)
+    damped = evaluate(free, model=Model().with_events(), dt=0.01, n_steps=20)
     assert float(far["nmse"].sel(Denv=63.2, xd=0.501)) == pytest.approx(float(damped.nmse))
     assert near["nmse"].dims == ("xd", "Kenv") and list(near["xd"]) == [0.5, 0.501, 0.001]
 

@@ -326,12 +326,11 @@ def explained(judged):
 def test_the_numbers_of_the_explanation_are_those_of_model_md(explained):
     """Also found by others' simulations; scipy chooses steps, and may choose others."""
     found = explained.attrs
-    assert [found[f"T_{K0}"] for K0 in (50, 100, 200)] == pytest.approx(
-        [2.94, 1.98, 1.12], abs=5e-3
-    )
+    last = [found[f"T_{K0}"] for K0 in (50, 100, 200)]
+    assert last == pytest.approx([2.94, 1.98, 1.12], abs=5e-3)
     assert found["below"] == 5 and (found["stages_K0"], found["stages_Td"]) == (1.0, 1.0)
-    assert found["RK23_samples_from"] > 1.3 > 0.7 > found["RK23_time_to"]
-    assert found["Radau_samples_to"] < 4.0
+    assert found["RK23_samples_from"] > 1.3 and found["RK23_time_to"] < 0.7
+    assert found["Radau_samples_from"] > 2.5 and found["Radau_samples_to"] < 4.0
 
 
 def test_the_explanation_has_a_line_for_each_claim_and_part(explained):
