@@ -157,15 +157,17 @@ def _scenarios(judgement: Judgement) -> str:
 
 def _alike(a: Any, b: Any) -> bool:
     """Whether two numbers are alike to 1 %; flags are alike if they are equal."""
-    return bool(a == b or (np.isfinite(a) and np.isfinite(b) and abs(a - b) <= 0.01 * abs(a)))
+    return bool(a == b or pd.isna([a, b]).all() or abs(a - b) <= 0.01 * abs(a) < np.inf)
 
 
 def number(value: Any) -> str:
-    """Three digits, as 0.00152 or 1.5e-6; text as it is."""
+    """Three digits, as 0.00152 or 1.5e-6; text as it is; NaN is a value that is not trusted."""
     if isinstance(value, str):
         return value
     if isinstance(value, bool | np.bool_):
         return "yes" if value else "no"
+    if np.isnan(value):
+        return "not trusted"
     if np.isinf(value):
         return "never" if value > 0 else "-inf"
     mantissa, exponent, power = f"{value:.3g}".partition("e")

@@ -26,12 +26,12 @@ def autonomous(reading: Reading) -> Model:
 def draws(reading: Reading) -> pd.DataFrame:
     """One row for each draw; `..._older` is of the same draw with the older law."""
     model = autonomous(reading)
-    older = superposed(replace(model, law="energy"))
+    older = superposed(replace(model, law="energy"), trust=False)
     return superposed(model).assign(gained_older=older.gained, moving_older=older.moving)
 
 
 @lru_cache(maxsize=32)
-def superposed(model: Model) -> pd.DataFrame:
+def superposed(model: Model, trust: bool = True) -> pd.DataFrame:
     """Columns of a draw.
 
     `controllers`; `references`, "one" or "apart"; `stop`; `stiffening`, the largest Fmax/(K0 xb) of
@@ -76,7 +76,7 @@ def superposed(model: Model) -> pd.DataFrame:
             "moving": seen.kinetic[:, -10:].max(axis=1) / seen.start,
         }
 
-    return with_trust(table, shares(1), shares(2))
+    return with_trust(table, shares(1), shares(2)) if trust else table.assign(**shares(1))
 
 
 def with_trust(
