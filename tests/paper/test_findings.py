@@ -20,7 +20,7 @@ from fic_jax.rk4 import Motion, advance
 from figures import findings
 from figures.findings import PLOTS
 from figures.findings.variable_step import SHOWN
-from sweeps.paper import accepted, formulas, loop, simulink
+from sweeps.paper import formulas, loop, simulink
 from sweeps.paper.findings import (
     FINDINGS,
     explanation,
@@ -262,7 +262,7 @@ def test_a_solver_that_chooses_its_steps_leaves_the_paper_s_residual(stepped):
 
 def test_no_step_is_longer_than_the_limit(stepped):
     t = stepped["t"].isel(case=0, solver=0).dropna("k")
-    assert t[0] == 0.0 and t[-1] == accepted.T_END
+    assert t[0] == 0.0 and t[-1] == simulink.T_END
     assert float(t.diff("k").max()) <= simulink.LIMIT * (1 + 1e-12)
 
 
