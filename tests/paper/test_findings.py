@@ -60,7 +60,7 @@ def held(p: Params, dt: jax.Array, periods: int) -> jax.Array:
         return (jax.lax.fori_loop(0, steps, plant, motion), x_h), tau_env
 
     still = jnp.zeros_like(p.Td)
-    nudged = Motion(p.Td / p.Kenv + 1e-6, still, still)
+    nudged = Motion(p.Td / p.Kenv + 1e-6, still, still, still, still)
     start = (nudged, p.Td / p.Kenv + p.Td / p.K0)
     return jax.lax.scan(period, start, length=periods)[1]
 
