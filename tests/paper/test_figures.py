@@ -189,7 +189,8 @@ def test_attractor_turns_its_energy_into_the_peak_and_comes_home():
     # the peak is seen at samples: half a step from it e is short by F dt^2/(8 I) = 8e-7 rad
     np.testing.assert_allclose(energy(peaks, Params()), data["energy"], rtol=2e-5)
     assert abs(data["e"]).isel(t=-1).max() < 1e-9 and abs(data["rate"]).isel(t=-1).max() < 1e-9
-    np.testing.assert_allclose(data["e"][0], -data["e"][1], atol=1e-12)
+    # 1e-9: where a switch is located a step later, the branch that follows is another by rounding
+    np.testing.assert_allclose(data["e"][0], -data["e"][1], atol=1e-9)
 
 
 def test_older_law_releases_what_it_absorbed(balance):
