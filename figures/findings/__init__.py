@@ -10,6 +10,7 @@ from pathlib import Path
 import xarray as xr
 
 from figures.findings import (
+    explanation,
     limit_cycle,
     online_gains,
     readings,
@@ -20,6 +21,7 @@ from figures.findings import (
 from figures.style import save
 
 PLOTS = {
+    "explanation": explanation.plot,
     "limit_cycle": limit_cycle.plot,
     "online_gains": online_gains.plot,
     "readings": readings.plot,

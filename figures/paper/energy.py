@@ -45,11 +45,10 @@ def released(e_M: float | jax.Array, p: Params, model: Model, limited: bool) -> 
     attractor = begin_branch(e_M, jnp.zeros((), bool), e_M, p, model)
     limits = p if limited else replace(p, Fmax=jnp.inf)
     middle = jnp.minimum(e_M, p.x0)
-    of = jax.vmap(lambda e, side: torque(e, attractor, limits, side))
+    of = jax.vmap(lambda e: torque(e, attractor, limits))
     inner = jnp.linspace(0.0, middle, NODES)
-    outer = jnp.linspace(middle, e_M, NODES)
-    below = jnp.abs(of(inner, jnp.zeros_like(inner)))
-    above = jnp.abs(of(outer, jnp.full_like(outer, e_M)))
+    outer = jnp.linspace(jnp.nextafter(middle, jnp.inf), e_M, NODES)
+    below, above = jnp.abs(of(inner)), jnp.abs(of(outer))
     return jnp.trapezoid(below, inner) + jnp.trapezoid(above, outer)
 
 

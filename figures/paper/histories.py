@@ -10,10 +10,9 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from fic_jax import Model
 from figures import style
 from figures.paper import look
-from sweeps.paper.scenarios import motions, scenarios
+from sweeps.paper.scenarios import LOCATED, motions, scenarios
 
 STUDIES = {  # picture -> sweep, its rows (those that the captions name), the field of the lines
     "history_welded": ("paper-welded", "Td in [1, 5, 20]", "K0"),
@@ -28,7 +27,7 @@ def simulate(picture: str, step: float) -> xr.Dataset:
     """Motions of a study over Td, the field of its lines, and time."""
     sweep, query, field = STUDIES[picture]
     rows = scenarios(sweep, period=[step]).query(query)
-    found = motions(rows, Model(), step)[["tau_env", "x"]].reset_coords(drop=True)
+    found = motions(rows, LOCATED.model, step)[["tau_env", "x"]].reset_coords(drop=True)
     index = pd.MultiIndex.from_frame(rows[["Td", field]])
     over = xr.Coordinates.from_pandas_multiindex(index, "scenario")
     return (

@@ -10,10 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from fic_jax import Model
 from figures import style
 from figures.paper import look
-from sweeps.paper.scenarios import measured, scenarios
+from sweeps.paper.scenarios import LOCATED, measured, scenarios, trusted_only
 
 TITLES = {"welded": "welded", "hard_stop": "contact (hard stop)"}  # left, right
 ROWS = {"nmse": "whole run", "nmse_tail": "last 5 s"}
@@ -27,9 +26,13 @@ SPREAD = 0.66  # of the distance between two Td, taken by the markers of one
 
 
 def simulate(step: float) -> xr.Dataset:
-    """Both columns; `xd` 0 is the true distance of the environment, 0.001 rad the 1 % error."""
+    """Both columns; `xd` 0 is the true distance of the environment, 0.001 rad the 1 % error.
+
+    A value that is not trusted is no number of the motion, and left out.
+    """
     rows = scenarios("paper-welded", "paper-contact", xd=(0.0, look.ESTIMATE_ERROR), period=[step])
-    cells = measured(rows, Model(), step).set_index(["contact", "xd", "K0", "Td"])
+    found = trusted_only(measured(rows, LOCATED.model, step), list(ROWS))
+    cells = found.set_index(["contact", "xd", "K0", "Td"])
     return cells[list(ROWS)].to_xarray().assign_attrs(period=step)
 
 

@@ -10,7 +10,9 @@
 | pages.py, page.md, page.css | the report as Markdown and HTML |
 | report.py | the whole: stores, verdicts, findings, pictures, pages |
 | loop.py, formulas.py | the loop, linearised; closed forms for it |
-| accepted.py | runs whose steps a variable-step solver chooses |
+| simulink.py | runs in which the search is at the solver's stages or once a step of it |
+| logs.py | what such a run logs, and metrics of it |
+| accepted.py | the same once a step of scipy's solvers, one run at a time |
 | superposition.py | several controllers on one inertia |
 
 scenarios → claims → judge → pages → report, and beside the claims findings → pages.

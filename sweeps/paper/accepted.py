@@ -1,7 +1,7 @@
 """A run whose steps the solver chooses: Algorithms 1 and 2 once per accepted step.
 
 What happens to a recursion without a period of its own in a variable-step simulation, as the
-paper's of contact (ode23t). Simulink's default step limit is the simulated time over 50.
+paper's of contact (ode23t). The solvers are scipy's; `simulink` runs many at once with its own.
 """
 
 from collections.abc import Iterator
@@ -19,23 +19,25 @@ from fic_jax.environment import interaction_torque
 from fic_jax.params import canonical
 from fic_jax.rk4 import net_torque
 from fic_jax.simulation import Memory, decide
+from sweeps.paper.logs import T_END
+from sweeps.paper.simulink import ATOL, LIMIT
 
-T_END = 10.0  # s
-LIMIT = T_END / 50  # s, longest step
-TOLERANCE = {"rtol": 1e-3, "atol": 1e-6}  # Simulink's relative default, and its absolute start
+TOLERANCE = {"rtol": 1e-3, "atol": ATOL}  # Simulink's relative default, and its absolute start
 SOLVERS: dict[str, type[OdeSolver]] = {"Radau": Radau, "RK23": RK23}  # implicit as ode23t; explicit
 MODEL = Model(contact="hard_stop")
 MOST_STEPS = 20_000
 
 
-def accepted_steps(p: Params, solver: type[OdeSolver], limit: float = LIMIT) -> xr.Dataset:
+def accepted_steps(
+    p: Params, solver: type[OdeSolver], limit: float = LIMIT, first: float | None = None
+) -> xr.Dataset:
     """A run with Algorithms 1 and 2 once per accepted step of a variable-step solver of scipy.
 
     `t` (s) and `tau_env` (N*m) over the steps k. Of the second half of the run: `tail`, nmse by the
     trapezoidal rule in time; `highest`, the largest torque, N*m; `rising`, by how much it rises.
     """
     with jax.enable_x64(True):
-        t, tau_env = np.array(list(_rows(canonical(p), solver, limit))).T
+        t, tau_env = np.array(list(_rows(canonical(p), solver, limit, first))).T
     middle = float(np.interp(T_END / 2, t, tau_env))
     late = np.concatenate([[T_END / 2], t[t > T_END / 2]])
     eps = np.interp(late, t, tau_env) / float(p.Td) - 1.0
@@ -50,11 +52,16 @@ def accepted_steps(p: Params, solver: type[OdeSolver], limit: float = LIMIT) -> 
     )
 
 
-def _rows(p: Params, solver: type[OdeSolver], limit: float) -> Iterator[tuple[float, float]]:
-    """Time and interaction torque after each step; the law is held for a step, as everywhere."""
+def _rows(
+    p: Params, solver: type[OdeSolver], limit: float, h: float | None
+) -> Iterator[tuple[float, float]]:
+    """Time and interaction torque after each step; the law is held for a step, as everywhere.
+
+    `h` is the first step, s; None leaves it to the solver.
+    """
     state = init(p, MODEL)
     memory, measured = state.memory, state.measured
-    t, y, h = 0.0, np.array([float(p.x_init), float(p.v_init)]), None
+    t, y = 0.0, np.array([float(p.x_init), float(p.v_init)])
     yield t, float(measured)
     for _ in range(MOST_STEPS):
         memory, attractor = _decided(p, memory, y, measured)

@@ -1,5 +1,6 @@
 """From a claim's table to its verdict: computed, never typed in."""
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -7,7 +8,7 @@ from typing import Literal
 
 import pandas as pd
 
-from sweeps.paper.scenarios import PRINTED, Reading
+from sweeps.paper.scenarios import LOCATED, Reading
 from sweeps.paper.words import evaluated, rows
 
 Verdict = Literal["holds", "holds where", "does not hold"]
@@ -19,7 +20,8 @@ class Claim:
 
     id: str  # "C1"
     # One row for each scenario. A column `period` where control periods are compared, the paper's
-    # first; a column `printed` where the paper speaks of some rows only.
+    # first; a column `printed` where the paper speaks of some rows only; for a column of `good` a
+    # column `..._trusted` where it may not be known.
     table: Callable[[Reading], pd.DataFrame]
     by: list[str]  # columns that name a scenario
     measured: list[str]  # columns that the report shows
@@ -36,8 +38,18 @@ class Region:
     rows: pd.DataFrame
 
     def complete(self) -> bool:
-        """Whether all its scenarios are as claimed; an empty region proves nothing."""
-        return bool(len(self) and self.rows["good"].all())
+        """Whether all its scenarios are known, and as claimed; an empty region proves nothing."""
+        return bool(len(self) and (self.rows["good"] & self.rows["trusted"]).all())
+
+    @property
+    def counted(self) -> pd.DataFrame:
+        """The scenarios that are known."""
+        return self.rows[self.rows["trusted"]]
+
+    @property
+    def left_out(self) -> int:
+        """How many scenarios are not."""
+        return len(self.rows) - len(self.counted)
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -49,10 +61,14 @@ class Judgement:
 
     A claim holds where every scenario that the paper speaks of is as claimed. Otherwise it holds
     where the largest complete region is, and where one at another period is that covers still more.
+    A scenario that is not known counts neither way, and a claim does not hold where one is.
     """
 
     claim: Claim
-    table: pd.DataFrame  # with columns `good` and `printed`
+    table: pd.DataFrame  # with columns `good`, `trusted` and `printed`
+    # The claim's scenarios as ode4 prints them, with its switches smeared over a step; None where
+    # nothing is integrated.
+    ode4: pd.DataFrame | None = None
 
     @cached_property
     def regions(self) -> list[Region]:
@@ -81,6 +97,11 @@ class Judgement:
         return [region.query for region in (own, other) if region]
 
     @property
+    def whole(self) -> pd.DataFrame:
+        """The scenarios that the paper speaks of."""
+        return self.regions[0].rows
+
+    @property
     def verdict(self) -> Verdict:
         """Whether the claim holds: everywhere, in a region, or in none."""
         if not self.where:
@@ -89,8 +110,9 @@ class Judgement:
 
     @property
     def score(self) -> float:
-        """Share of the scenarios the paper speaks of that are as claimed."""
-        return float(self.regions[0].rows["good"].mean())
+        """Share of the known scenarios the paper speaks of that are as claimed."""
+        counted = self.regions[0].counted
+        return float(counted["good"].mean()) if len(counted) else 0.0
 
     def shown(self) -> list[Region]:
         """Regions worth a line of the report.
@@ -111,10 +133,21 @@ class Judgement:
         return shown
 
 
-def judge(claim: Claim, reading: Reading = PRINTED) -> Judgement:
+def judge(claim: Claim, reading: Reading = LOCATED) -> Judgement:
     """Measure a claim under a reading, and mark the scenarios that are as claimed."""
-    table = claim.table(reading)
+    table = _marked(claim, claim.table(reading))
+    if not reading.located:
+        return Judgement(claim, table)
+    ode4 = _marked(claim, claim.table(reading.as_printed()))
+    same = table.loc[ode4.index, claim.measured].equals(ode4[claim.measured])
+    return Judgement(claim, table, None if same else ode4)
+
+
+def _marked(claim: Claim, table: pd.DataFrame) -> pd.DataFrame:
+    """A claim's table with `printed`, `trusted` and `good`."""
     if "printed" not in table:
         own = table["period"] == table["period"].iloc[0] if "period" in table else True
         table = table.assign(printed=own)
-    return Judgement(claim, table.assign(good=evaluated(table, claim.good)))
+    used = dict.fromkeys(f"{name}_trusted" for name in re.findall(r"\w+", claim.good))
+    known = table[[name for name in used if name in table]].astype(bool).all(axis=1)
+    return table.assign(trusted=known, good=evaluated(table, claim.good).astype(bool))

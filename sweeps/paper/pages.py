@@ -15,7 +15,7 @@ from markdown_it import MarkdownIt
 
 from sweeps.paper.findings import name_of
 from sweeps.paper.judge import Judgement
-from sweeps.paper.words import FOLDER, read
+from sweeps.paper.words import FOLDER, read, rows
 
 MOST_ROWS = 30  # of a table of scenarios
 BADGES = {"holds": "yes", "holds where": "part", "does not hold": "no"}  # classes of page.css
@@ -55,7 +55,7 @@ def claim_section(judgement: Judgement) -> Section:
     title = words.head["title"]
     text = [
         words.body.format_map(numbers | {"verdict": opening}),
-        f"A scenario is as claimed where `{judgement.claim.good}`.",
+        f"A scenario is as claimed where `{judgement.claim.good}`.{_left_out(judgement)}",
         table(_regions(judgement)),
     ]
     row = {
@@ -63,6 +63,8 @@ def claim_section(judgement: Judgement) -> Section:
         "claim": title,
         "verdict": verdict,
         "scenarios as claimed": f"{100 * judgement.score:.0f} %",
+        "not trusted": str(judgement.regions[0].left_out),
+        "as ode4 prints": _share(judgement),
         "measured": words.head["summary"].format_map(numbers),
     }
     command = f"fic-sweep report --only {id}"
@@ -92,6 +94,28 @@ def verdict_of(judgement: Judgement) -> str:
     return f"**{judgement.verdict}** {conditions}".strip()
 
 
+def _left_out(judgement: Judgement) -> str:
+    """How many scenarios do not count and why, and what ode4 prints."""
+    whole = judgement.regions[0]
+    words = ""
+    if whole.left_out:
+        words += (
+            f" {whole.left_out} of {len(whole)} are not trusted and left out of the counts: a "
+            "change of the parameters by their rounding, or half the step, changes their numbers "
+            "by more than the bound of `fic_jax.TRUST`. A claim does not hold where one of them is."
+        )
+    if judgement.ode4 is not None:
+        words += " Where ode4 at 10 ms prints another number, it stands in brackets."
+    return words
+
+
+def _share(judgement: Judgement) -> str:
+    """The share as claimed of the numbers that ode4 prints."""
+    if judgement.ode4 is None:
+        return ""
+    return f"{100 * rows(judgement.ode4, 'printed')['good'].mean():.0f} %"
+
+
 def _regions(judgement: Judgement) -> pd.DataFrame:
     """How much of each region is as claimed, and the range of every measured column."""
     lines = []
@@ -99,11 +123,12 @@ def _regions(judgement: Judgement) -> pd.DataFrame:
         line = {
             "where": f"`{region.query}`" if region.query else "as the paper has it",
             "scenarios": len(region),
-            "as claimed": region.rows["good"].sum(),
+            "trusted": len(region.counted),
+            "as claimed": region.counted["good"].sum(),
         }
         for name in judgement.claim.measured:
-            ends = (number(end) for end in region.rows[name].agg(["min", "max"]))
-            line[name] = " to ".join(dict.fromkeys(ends))
+            ends = (number(end) for end in region.counted[name].agg(["min", "max"]))
+            line[name] = " to ".join(dict.fromkeys(ends)) if len(region.counted) else "-"
         lines.append(line)
     return pd.DataFrame(lines)
 
@@ -113,23 +138,36 @@ def _scenarios(judgement: Judgement) -> str:
     claim, whole = judgement.claim, judgement.regions[0].rows
     title, lines = "Every scenario", whole
     if len(whole) > MOST_ROWS:
-        lines = whole[~whole["good"]]
+        lines = whole[~whole["good"] | ~whole["trusted"]]
         title = f"Scenarios that are not as claimed, {len(lines)} of {len(whole)}"
     if len(lines) > MOST_ROWS:
         title, lines = f"{title}: the first {MOST_ROWS}", lines[:MOST_ROWS]
     if lines.empty:
         return ""
     names = lines[claim.by].map(lambda v: f"{v:.4g}" if isinstance(v, float) else number(v))
-    shown = names.join(lines[[*claim.measured, "good"]].map(number))
+    shown = names.join(lines[[*claim.measured, "trusted", "good"]].map(number))
+    if judgement.ode4 is not None:
+        printed = judgement.ode4.loc[lines.index, [*claim.measured, "good"]]
+        for name in printed:
+            other = [not _alike(a, b) for a, b in zip(lines[name], printed[name], strict=True)]
+            both = shown[name] + " [" + printed[name].map(number) + "]"
+            shown[name] = shown[name].where(~np.array(other), both)
     return f"<details><summary>{title}</summary>\n\n{table(shown)}\n\n</details>"
 
 
+def _alike(a: Any, b: Any) -> bool:
+    """Whether two numbers are alike to 1 %; flags are alike if they are equal."""
+    return bool(a == b or pd.isna([a, b]).all() or abs(a - b) <= 0.01 * abs(a) < np.inf)
+
+
 def number(value: Any) -> str:
-    """Three digits, as 0.00152 or 1.5e-6; text as it is."""
+    """Three digits, as 0.00152 or 1.5e-6; text as it is; NaN is a value that is not trusted."""
     if isinstance(value, str):
         return value
     if isinstance(value, bool | np.bool_):
         return "yes" if value else "no"
+    if np.isnan(value):
+        return "not trusted"
     if np.isinf(value):
         return "never" if value > 0 else "-inf"
     mantissa, exponent, power = f"{value:.3g}".partition("e")

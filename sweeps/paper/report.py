@@ -5,6 +5,7 @@ import platform
 import re
 import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from importlib.metadata import version
@@ -25,15 +26,16 @@ from sweeps.paper.pages import (
     page_html,
     verdict_of,
 )
-from sweeps.paper.scenarios import Reading
+from sweeps.paper.scenarios import LOCATED
 from sweeps.provenance import provenance
 from sweeps.runner import Progress
 from sweeps.spec.mistakes import SweepError
 from sweeps.spec.reading import load
 from sweeps.store.opening import Store, dataset, open_store
 
-# The printed reading; its claims are also tried at shorter periods, of which the paper names none.
-READING = Reading(others=(0.001, 0.002, 0.005))
+# The printed reading with located switches; its claims are also tried at shorter periods, of which
+# the paper names none.
+READING = replace(LOCATED, others=(0.001, 0.002, 0.005))
 PICTURES = "figures"  # folder of the pictures, beside the pages
 PRECISION = 32  # bits of a store that is run here, as of `fic-sweep run`
 

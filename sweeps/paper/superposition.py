@@ -1,6 +1,6 @@
 """Several controllers on one inertia, their gains constant or changing: motion and energy."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -28,14 +28,17 @@ class History:
     start: Any  # J, energy before the first step; [runs]
 
 
-def simulate(gains: Params, body: Params, model: Model, seconds: float) -> History:
+def simulate(
+    gains: Params, body: Params, model: Model, seconds: float, substeps: int = 1
+) -> History:
     """Runs of controllers with fixed references that act together on one inertia.
 
-    `gains`: leaves [runs, steps or 1, controllers], a controller rests on its xd. `body`: leaves
-    [runs] of I, x_init, v_init, Kenv, Denv and gap; a hard stop.
+    `gains`: leaves [runs, steps of DT or 1, controllers], a controller rests on its xd. `body`:
+    leaves [runs] of I, x_init, v_init, Kenv, Denv and gap; a hard stop. Controllers and plant take
+    `substeps` steps in DT.
     """
     n_slices = round(seconds / DT / SLICE)
-    return jax.tree.map(np.asarray, _simulator(model, n_slices)(gains, body))
+    return jax.tree.map(np.asarray, _simulator(model, n_slices, substeps)(gains, body))
 
 
 def gains(**fields: np.ndarray) -> Params:
@@ -55,18 +58,21 @@ def bodies(n: int, **fields: np.ndarray) -> Params:
 
 
 @lru_cache(maxsize=64)
-def _simulator(model: Model, n_slices: int) -> Any:
+def _simulator(model: Model, n_slices: int, substeps: int) -> Any:
     """`simulate`, compiled for a model."""
+    dt = DT / substeps
 
     def torques(p: Params, memory: Any, x: jax.Array, v: jax.Array, F: jax.Array) -> Any:
-        return control(p, memory, x, v, F, model=model, dt=DT)
+        return control(p, memory, x, v, F, model=model, dt=dt)
 
     together = jax.vmap(torques, in_axes=(0, 0, None, None, None))
     springs = jax.vmap(energy)
 
     def one(gains: Params, body: Params) -> History:
         def at(k: jax.Array) -> Params:
-            return jax.tree.map(lambda leaf: leaf[jnp.clip(k, 0, leaf.shape[0] - 1)], gains)
+            row = k // substeps
+            at = jax.tree.map(lambda leaf: leaf[jnp.clip(row, 0, leaf.shape[0] - 1)], gains)
+            return replace(at, period=jnp.full_like(at.period, dt))
 
         def step(carry: Any, k: jax.Array) -> tuple[Any, Any]:
             memory, x, v, added = carry
@@ -79,11 +85,11 @@ def _simulator(model: Model, n_slices: int) -> Any:
             kinetic = 0.5 * body.I * v**2
             pressed = 0.5 * body.Kenv * jnp.maximum(x - body.gap, 0.0) ** 2
             H = kinetic + pressed + jnp.sum(held)
-            v = v + DT * (jnp.sum(tau) - F) / body.I
-            return (memory, x + DT * v, v, added), (jnp.abs(x), kinetic, H, added)
+            v = v + dt * (jnp.sum(tau) - F) / body.I
+            return (memory, x + dt * v, v, added), (jnp.abs(x), kinetic, H, added)
 
         def sliced(carry: Any, i: jax.Array) -> tuple[Any, Any]:
-            steps = i * SLICE + jnp.arange(SLICE, dtype=jnp.int32)
+            steps = substeps * SLICE * i + jnp.arange(substeps * SLICE, dtype=jnp.int32)
             carry, seen = jax.lax.scan(step, carry, steps)
             return carry, (jax.tree.map(jnp.max, seen), seen[2][0])
 

@@ -15,9 +15,9 @@ from sweeps import LIBRARY, runner
 from sweeps.cli import app
 from sweeps.paper.claims import CLAIMS, chosen
 from sweeps.paper.judge import Claim, Judgement, judge
-from sweeps.paper.pages import claim_section
+from sweeps.paper.pages import claim_section, number
 from sweeps.paper.report import READING
-from sweeps.paper.scenarios import PRINTED, Reading, scenarios, study
+from sweeps.paper.scenarios import LOCATED, PRINTED, STUDIES, Reading, scenarios, study
 from sweeps.paper.words import read
 from sweeps.spec.mistakes import SweepError
 from sweeps.spec.reading import load
@@ -38,8 +38,8 @@ INF = float("inf")
 EDGES = {  # a scenario that is barely as claimed, then changes by which it no longer is
     "C1": [{"nmse": 0.1, "nmse_tail": 1e-4}, {"nmse": 0.1001}, {"nmse_tail": 1.001e-4}],
     "C2": [{"convergence_time": 0.75}, {"convergence_time": 0.751}, {"convergence_time": 0.333}],
-    "C3": [{"nmse": 1.0, "named": 1.0, "finer": 0.99, "K0": 1.0, "Td": 1.0},
-           {"nmse": 1.01}, {"finer": 1.0}],
+    "C3": [{"nmse": 1.0, "named": 1.0, "without": 0.49, "finer": 9.0, "K0": 1.0, "Td": 1.0},
+           {"nmse": 1.01}, {"without": 0.5}],
     "C4": [{"mean_error": -4.95}, {"mean_error": -4.949}, {"mean_error": -5.051}],
     "C5": [{"nmse_tail": 0.0317, "convergence_time": 1.5}, {"nmse_tail": 0.0316},
            {"nmse_tail": 0.317}, {"convergence_time": 1.501}, {"convergence_time": 0.666}],
@@ -50,9 +50,10 @@ EDGES = {  # a scenario that is barely as claimed, then changes by which it no l
     "C8": [{"spike": 0.99, "spike_damped": 2.01, "turns": 2, "turns_damped": 1},
            {"spike": 1.0}, {"spike_damped": 2.0}, {"turns_damped": 2},
            {"turns": 1, "turns_damped": 0}],
-    "C9": [{"nmse": 3.0}, {"nmse": 3.001}, {"nmse": 1.333}],
+    "C9": [{"nmse": 3.0, "error": 10.0}, {"nmse": 3.001}, {"nmse": 1.333}],
     "C10": [{"residual": 0.01, "convergence_time": 1.0, "time_15": 1.0},
-            {"residual": 0.0101}, {"convergence_time": 1.01}],
+            {"residual": 0.0101}, {"convergence_time": 1.0011},
+            {"convergence_time": INF, "time_15": INF}],
     "C11": [{"share": 0.999}, {"share": 0.9989}],
     "C12": [{"change": 1e-5}, {"change": 1.01e-5}, {"change": -1.01e-5}],
     "C13": [{"distance": 0.01}, {"distance": 0.0101}],
@@ -102,7 +103,25 @@ def test_a_verdict_follows_from_the_table(good, periods, parts, verdict, where):
 
 def test_no_scenario_proves_nothing():
     table = pd.DataFrame({"x": [1.0]})[:0]
-    assert Judgement(CLAIM["C8"], table.assign(good=[], printed=[])).where == []
+    assert Judgement(CLAIM["C8"], table.assign(good=[], trusted=[], printed=[])).where == []
+
+
+def test_a_scenario_that_is_not_trusted_counts_neither_way():
+    """Nor does the claim hold where one is."""
+    table = pd.DataFrame({"x": [1, 1, 0, 1], "x_trusted": [1, 1, 0, 0], "a": [1, 1, 0, 0]})
+    table["period"] = 1.0
+    found = judge(Claim("C0", lambda _: table, [], [], "x == 1", ["a == 1"]))
+    assert (found.where, found.score) == (["a == 1"], 1.0)
+    assert [(len(r.counted), r.left_out) for r in found.regions] == [(2, 2), (2, 0)]
+    bad = table.assign(x_trusted=[1, 1, 1, 0])
+    assert judge(Claim("C0", lambda _: bad, [], [], "x == 1", [])).score == pytest.approx(2 / 3)
+
+
+def test_only_columns_of_the_condition_have_to_be_trusted():
+    table = pd.DataFrame({"nmse": [1.0], "nmse_tail": [1.0], "nmse_trusted": [False]})
+    table = table.assign(nmse_tail_trusted=True)
+    found = judge(Claim("C0", lambda _: table, [], [], "nmse_tail == 1", []))
+    assert found.table["trusted"].tolist() == [True]
 
 
 # --- the fifteen ---------------------------------------------------------------------------------
@@ -110,24 +129,24 @@ def test_no_scenario_proves_nothing():
 # claim -> queries of its verdict, share as claimed, as claimed of the scenarios in each line
 FAST = "period == 0.001 and K0 <= 100 and Td <= Fmax"
 EXPECTED = {
-    "C1": (["K0 <= 10 and 5 <= Td <= Fmax", FAST], 7 / 20,
+    "C1": (["K0 <= 10 and 5 <= Td <= Fmax", FAST], 7 / 19,
            "7/20 7/15 7/12 6/8 7/9 6/6 3/3 2/2 12/20 12/12 11/20 8/8 7/20 6/6"),
     "C2": (["K0 == 10 and Td <= Fmax", FAST], 5 / 20,
            "5/20 5/15 5/12 4/8 5/9 4/6 3/3 2/2 12/20 12/12 7/20 6/6 7/20 6/6"),
-    "C3": ([], 18 / 20, "18/20 15/16 14/20 18/20 17/20"),
+    "C3": (["K0 >= 1"], 19 / 20, "19/20 16/16 14/15 12/12 15/20 15/15 0/20 0/20"),
     "C4": (["K0 <= 100", "period == 0.001"], 4 / 5, "4/5 4/4 5/5 5/5 4/5 4/4"),
     "C5": ([], 0.0, "0/20 0/15 0/12 0/8 0/9 0/6 0/3 0/2 0/20 0/20 0/20"),
     "C6": ([""], 1.0, "5/5 1/5 3/5 3/3 4/5 3/3"),
     "C7": (["Denv == 189.7 and Kenv <= 100"], 2 / 5, "2/5 2/4 2/3 2/3 2/2 1/1 0/5 1/5 1/1 1/5 1/1"),
     "C8": ([""], 1.0, "1/1 0/1 0/1 1/1"),
     "C9": ([], 0.0, "0/1 0/1 0/1 0/1"),
-    "C10": (["K0 <= 10 and gap == 0", "period == 0.001 and K0 <= 100 and gap == 0"], 12 / 25,
-            "12/25 12/21 12/16 12/12 0/4 0/5 0/4 16/25 16/16 15/25 12/12 12/25 12/12"),
+    "C10": (["1 <= K0 <= 10 and gap == 0", "period == 0.001 and K0 <= 100 and gap == 0"], 11 / 24,
+            "11/25 11/21 11/16 11/12 8/8 0/4 0/5 0/4 16/25 16/16 15/25 12/12 11/25 8/8"),
     "C11": ([""], 1.0, "5/5 20/20"),
     "C12": (["place != 'end'"], 36 / 48, "36/48 36/36 24/24"),
     "C13": (["e_M <= x0 or gain != 1"], 6 / 10, "6/10 6/6 4/4"),
     "C14": None,
-    "C15": (["schedule != 'in step'"], 123 / 126, "123/126 63/63 120/120 24/24"),
+    "C15": (["schedule != 'in step'"], None, "123/126 63/63 120/120 24/24"),
 }  # fmt: skip
 
 
@@ -135,37 +154,35 @@ EXPECTED = {
 def test_the_verdict_and_what_it_counts(id):
     where, score, counts = EXPECTED[id]
     found = judged(id)
-    assert (found.where, found.score) == (where, score)
-    lines = [f"{region.rows['good'].sum()}/{len(region)}" for region in found.shown()]
+    assert found.where == where
+    assert score is None or found.score == pytest.approx(score)
+    lines = [f"{region.counted['good'].sum()}/{len(region)}" for region in found.shown()]
     assert " ".join(lines) == counts
 
 
 NUMBERS = [
-    # float64 holds four digits of runs that settle
-    ("C1", 1e-3, {"tail_100": 1.516e-3, "fine": 3.596e-6, "fine_1000": 1.099e-3}),
-    # on the grid of samples, 10 ms and 1 ms
-    ("C2", 3e-3, {"from": 0.39, "to": 0.66, "stiff": 6.11, "fine_from": 0.348, "fine_to": 0.440}),
-    # a limit cycle: a tenth holds against the plant step (test of model.md: tens of percent)
-    ("C3", 0.1, {"named": 1.07, "finer": 6.69, "wider": 0.072, "K0": 0.1, "Td": 1.0}),
+    # located switches: what settles is known to eight digits
+    ("C1", 1e-3, {"tail_100": 1.520e-3, "tail_1": 0.5738, "fine": 3.597e-6, "fine_1000": 1.100e-3}),
+    ("C2", 3e-3, {"from": 0.383, "to": 0.659, "stiff": 6.11, "fine_from": 0.348, "fine_to": 0.437}),
+    # of the cycle itself, which is trusted; its runs with another sigma are not all
+    ("C3", 1e-2, {"named": 1.0016, "without": 0.02721, "wider": 0.0667}),
     # 0.5 %: the joint still swings a little about the spring's balance
     ("C4", 5e-3, {"from": -5.0, "to": -5.0, "slow": -8.95}),
     # the joint never leaves the stop: its tail is that of the welded study
-    ("C5", 1e-3, {"named": 1.516e-3, "welded": 1.516e-3, "count": 7, "both": 0}),
-    # no sample out of contact at 10 ms; at 1 ms thousands, of which rounding moves a few
-    ("C6", 7e-3, {"lost": 0.0, "count": 4, "fine": 3.08}),
-    # settled: a plant step of 1 ms moves the residual by 0.4 %
+    ("C5", 1e-3, {"named": 1.520e-3, "welded": 1.520e-3, "count": 7, "both": 0, "left": 1}),
+    ("C6", 7e-3, {"lost": 0.0, "count": 4, "fine": 3.085}),
     ("C7", 5e-3, {"largest": 0.0796, "half": 0.471}),
-    # the spike lasts less than a sample of 10 ms: a plant step of 1 ms makes it 20 % higher
-    ("C8", 0.2, {"spike": 11.5, "bare": 0.46, "turns": 3, "turns_damped": 1}),
-    ("C9", 0.2, {"nmse": 0.33, "error": 10.5, "error_63": 2.87}),
-    ("C10", 0.0, {"gone": 13, "all": 25, "sooner": 20, "never": 5}),
+    # at the touch itself: a sample of 10 ms showed 9.6
+    ("C8", 5e-3, {"spike": 11.722, "bare": 0.4582, "turns": 3, "turns_damped": 1}),
+    ("C9", 5e-3, {"nmse": 0.3334, "error": 10.722, "error_63": 2.905}),
+    ("C10", 0.0, {"gone": 12, "all": 24, "sooner": 14, "never": 5}),
     # (1 - K0 x0/Fmax) exp(-20) and its inverse for 1e-3, at K0 = 0.1
     ("C11", 2e-3, {"short": 2.06e-9, "S": np.log(1e3 * (1 - 0.01 / 15)), "share_5": 0.9933}),
     # all of E_K(e_M) is lost up to x0
     ("C12", 1e-3, {"linear": 1.0, "least": 0.0719, "most": 1.0}),
     ("C13", 1e-2, {"beyond": 0.130, "largest": 0.361}),
     # in the last 10 s of 40
-    ("C15", 0.03, {"small": 0.59, "grown": 3.6, "bad": 3, "beats": 0}),
+    ("C15", 0.03, {"small": 0.59, "grown": 3.6, "beats": 0}),
 ]
 
 
@@ -235,13 +252,26 @@ def test_the_scenarios_are_those_of_the_paper():
     assert varied[["Kenv", "xd"]].value_counts().tolist() == [1] * 6
 
 
-def test_a_store_in_double_precision_has_the_numbers_of_the_claims(tmp_path):
-    """The heatmaps of `make sweep` show them."""
-    store = runner.start(tmp_path / "w.zarr", load(LIBRARY / "paper-welded.toml"), None, 64)
-    runner.run(store, lambda _: None)
-    own = judged("C1").table.query("printed")
-    for name in ("nmse", "nmse_tail", "convergence_time"):
-        np.testing.assert_array_equal(store.group[name][:].ravel(), own[name])
+@pytest.mark.parametrize("name", STUDIES)
+def test_a_store_has_the_numbers_of_the_claims(tmp_path, name):
+    """The heatmaps of `make sweep` show them: to the digits of the report, cell by cell."""
+    own = study(name, LOCATED).drop_duplicates(["K0", "Td", "Kenv", "Denv"])
+    for sweep in STUDIES[name]:
+        path = tmp_path / f"{sweep}.zarr"
+        store = runner.start(path, load(LIBRARY / f"{sweep}.toml"), None, 64)
+        runner.run(store, lambda _: None)
+        cells = {metric: store.group[metric][:].ravel() for metric in SHOWN}
+        keys = ["K0", "Td", "Kenv", "Denv"]
+        both = scenarios(sweep)[keys].assign(**cells)
+        both = both.merge(own, on=keys, suffixes=("", "_claimed"))
+        assert len(both) == len(cells["nmse"])
+        for metric in SHOWN:
+            assert (
+                both[metric].map(number).tolist() == both[f"{metric}_claimed"].map(number).tolist()
+            )
+
+
+SHOWN = ("nmse", "nmse_tail", "convergence_time", "contact_lost")
 
 
 # --- words and commands --------------------------------------------------------------------------

@@ -137,7 +137,7 @@ def test_one_call_writes_every_figure(tmp_path, monkeypatch):
 def test_figures_simulate_the_scenarios_that_they_label(monkeypatch):
     """A cell is the scenario that its coordinates say, in metrics and in histories."""
     monkeypatch.setattr(scenarios, "T_END", 0.2)
-    welded = Model(contact="welded")
+    welded = Model(contact="welded").with_events()
     cells = welded_contact.simulate(0.01).sel(contact="welded", xd=0.001, K0=100.0, Td=1.0)
     runs = histories.simulate("history_welded", 0.01)
     alone = evaluate(Params(K0=100.0, Td=1.0, xd=0.001), model=welded, dt=0.01, n_steps=20)
@@ -149,7 +149,8 @@ def test_figures_simulate_the_scenarios_that_they_label(monkeypatch):
     np.testing.assert_allclose(own["time"], motion.t, rtol=1e-12)
     assert list(runs["Td"]) == [1.0, 5.0, 20.0] and runs.attrs["gap"] == 0.0
     near, far = environments.simulate(0.01)
-    damped = evaluate(Params(Denv=63.2, gap=0.5, xd=0.501), model=Model(), dt=0.01, n_steps=20)
+    free = Params(Denv=63.2, gap=0.5, xd=0.501)
+    damped = evaluate(free, model=Model().with_events(), dt=0.01, n_steps=20)
     assert float(far["nmse"].sel(Denv=63.2, xd=0.501)) == pytest.approx(float(damped.nmse))
     assert near["nmse"].dims == ("xd", "Kenv") and list(near["xd"]) == [0.5, 0.501, 0.001]
 
@@ -188,7 +189,8 @@ def test_attractor_turns_its_energy_into_the_peak_and_comes_home():
     # the peak is seen at samples: half a step from it e is short by F dt^2/(8 I) = 8e-7 rad
     np.testing.assert_allclose(energy(peaks, Params()), data["energy"], rtol=2e-5)
     assert abs(data["e"]).isel(t=-1).max() < 1e-9 and abs(data["rate"]).isel(t=-1).max() < 1e-9
-    np.testing.assert_allclose(data["e"][0], -data["e"][1], atol=1e-12)
+    # 1e-9: where a switch is located a step later, the branch that follows is another by rounding
+    np.testing.assert_allclose(data["e"][0], -data["e"][1], atol=1e-9)
 
 
 def test_older_law_releases_what_it_absorbed(balance):

@@ -1,7 +1,7 @@
 """C11 to C13: the force profile, the Lyapunov function and the shape of the attractor."""
 
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 import jax
@@ -11,7 +11,7 @@ import pandas as pd
 
 from fic_jax import Model, Params, energy, force, rollout
 from fic_jax.controller import begin_branch
-from fic_jax.params import canonical
+from fic_jax.params import Law, canonical
 from fic_jax.passivity import lyapunov, potential
 from sweeps.paper.scenarios import Reading, grid, params, table
 
@@ -38,7 +38,12 @@ def cycles(reading: Reading) -> pd.DataFrame:
     Within the diverging and the converging branch the largest change; at the switch at the peak
     and at the switch that ends the convergence the step.
     """
-    model = Model(law=reading.model.law, integrator="rk4_events")
+    return _cycles(reading.model.law)
+
+
+@lru_cache
+def _cycles(law: Law) -> pd.DataFrame:
+    model = Model(law=law, integrator="rk4_events")
     # peaks in the linear zone, between x0 and xb, and saturated
     rows = grid(K0=[1.0, 100.0, 1000.0], e_M=[0.05, 0.104, 0.15, 0.3])
     K0, e_M = jnp.array(rows.K0), jnp.array(rows.e_M)

@@ -2,15 +2,25 @@
 
 from functools import lru_cache
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-import xarray as xr
 
-from sweeps.paper.scenarios import Reading, study, study_motions
+from fic_jax import QUANTITIES, Model, Params
+from fic_jax.environment import interaction_torque
+from fic_jax.params import canonical
+from sweeps.paper.logs import Floats, Log, average
+from sweeps.paper.scenarios import Reading, study, study_logs
 
 SPIKE = 0.1  # s after the first touch in which a torque spike falls
 SETTLED = 1.0  # s after the first touch, "a transient of about 1 s"
 SWING = 0.05  # of Td: a turn of the torque counts from here
+Td, GAP = 5.0, 0.5  # N*m, rad: of all five
+# By what a quantity may change with the rounding of the parameters, and still be trusted: a part of
+# itself, and of Td.
+SAME = 0.01
+SEEN = ("spike", "turns", "highest", "halfway", "last", "left", "error")
 
 
 def approach(reading: Reading) -> pd.DataFrame:
@@ -26,28 +36,70 @@ def observed(reading: Reading) -> pd.DataFrame:
     than SWING in the 3 s after the touch; `highest`, the largest error from SETTLED after the
     touch on; `halfway` and `last`, the mean error over the half second after 5 s and over the last
     one; `left` = last/halfway; `error`, the largest error after the touch.
+
+    Where the motion is resolved, `spike` and `error` hold the torque at the touch itself, which no
+    sample shows: a damper's torque is highest there.
     """
     table = approach(reading)
-    seen = pd.DataFrame([_seen(motion) for motion in study_motions("impact", reading)])
-    return table.join(seen.assign(left=seen["last"] / seen["halfway"]))
+    at_touch = _touch_torque if reading.resolved else _nothing
+    own: list[dict[str, float]] = []
+    twins: list[dict[str, float]] = []
+    rows = (row for _, row in table.iterrows())
+    for row, pair in zip(rows, study_logs("impact", reading), strict=True):
+        for found, run in zip((own, twins), pair, strict=True):
+            found.append(_seen(run, at_touch(row, run, reading.model)))
+    seen, twin = pd.DataFrame(own), pd.DataFrame(twins)
+    known = {f"{name}_trusted": _same(seen[name], twin[name]) for name in SEEN}
+    return table.join(seen.assign(**known))
 
 
-def _seen(motion: xr.Dataset) -> dict[str, float]:
-    t, ratio = motion["time"].values, motion["tau_env"].values / 5.0
-    since = t - t[np.argmax(motion["x"].values >= 0.5)]
-    half = (t > 5.0) & (t <= 5.5)
+def _same(one: pd.Series, other: pd.Series) -> pd.Series:
+    return (one == other) | (abs(one - other) <= SAME * abs(one).clip(lower=0.1))
+
+
+def _seen(run: Log, touch: float) -> dict[str, float]:
+    """What one run shows; `touch` is the torque at the touch over Td, -inf if it is not known."""
+    t, ratio = run.t, run.tau_env / Td
+    reached = run.x >= GAP
+    since = np.where(reached.any(), t - t[np.argmax(reached)], -np.inf)
+    after = since >= 0.0
+    halfway = average(t, ratio, 5.0, "time", 5.5) - 1.0
+    last = average(t, ratio, t[-1] - 0.5, "time", t[-1]) - 1.0
     return {
-        "spike": ratio[(since >= 0.0) & (since <= SPIKE)].max(),
-        "turns": turns(ratio[(since >= 0.0) & (since <= 3.0)], SWING),
+        "spike": max(ratio[after & (since <= SPIKE)].max(initial=-np.inf), touch),
+        "turns": turns(ratio[after & (since <= 3.0)], SWING),
         "highest": ratio[since >= SETTLED].max(initial=-np.inf) - 1.0,
-        "halfway": ratio[half].mean() - 1.0,
-        "last": ratio[t > t[-1] - 0.5].mean() - 1.0,
-        "error": abs(ratio[since >= 0.0] - 1.0).max(),
+        "halfway": halfway,
+        "last": last,
+        "left": last / halfway,
+        "error": max(abs(ratio[after] - 1.0).max(initial=-np.inf), touch - 1.0),
     }
 
 
-def turns(signal: np.ndarray, swing: float) -> int:
+def _nothing(row: pd.Series, run: Log, model: Model) -> float:
+    return -np.inf
+
+
+def _touch_torque(row: pd.Series, run: Log, model: Model) -> float:
+    """The torque at the first touch, over Td, from the speed there.
+
+    Before it the joint is free: v^2 is extended along x from the last two samples.
+    """
+    i = int(np.argmax(run.x >= GAP))
+    if not i:
+        return -np.inf
+    (x0, x1), (v0, v1) = run.x[i - 2 : i], run.v[i - 2 : i]
+    square = v1**2 + (v1**2 - v0**2) / (x1 - x0) * (GAP - x1)
+    with jax.enable_x64(True):
+        p = canonical(Params(**{name: float(row[name]) for name in QUANTITIES}))
+        torque = interaction_torque(p.gap, jnp.sqrt(square), p, model)
+    return float(torque) / Td
+
+
+def turns(signal: Floats, swing: float) -> int:
     """How often a signal turns round, by more than `swing` each time."""
+    if not signal.size:
+        return 0
     count, low, high, rising = 0, signal[0], signal[0], None
     for value in signal:
         low, high = min(low, value), max(high, value)
@@ -64,9 +116,10 @@ def damped_beside_bare(reading: Reading) -> pd.DataFrame:
     """Kenv = 100 with Denv = 0 beside Denv = 189.7 (columns `..._damped`), one row a period."""
     table = observed(reading)
     bare, damped = (table.query(f"Kenv == 100 and Denv == {d}") for d in (0.0, 189.7))
-    return bare.merge(
-        damped[["period", "spike", "turns"]], on="period", suffixes=("", "_damped"), sort=False
-    )
+    columns = ["spike", "turns"]
+    names = {name: f"{name}_damped" for name in columns}
+    names |= {f"{name}_trusted": f"{name}_damped_trusted" for name in columns}
+    return bare.merge(damped[["period", *names]].rename(columns=names), on="period", sort=False)
 
 
 def largest(reading: Reading) -> pd.DataFrame:
@@ -75,4 +128,6 @@ def largest(reading: Reading) -> pd.DataFrame:
     table = table.assign(error_63=table["error"].where(table["Denv"] == 63.2))
     periods = table.groupby("period", sort=False)
     columns = ["nmse", "error", "error_63"]
-    return periods[columns].max().assign(least=periods["error"].min()).reset_index()
+    known = periods[["nmse_trusted", "error_trusted"]].all()
+    ends = periods[columns].max().assign(least=periods["error"].min())
+    return ends.join(known).reset_index()

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from fic_jax import Model, Params
-from sweeps.paper.claims.superposed import SEED, autonomous, log_uniform
+from sweeps.paper.claims.superposed import SEED, autonomous, log_uniform, with_trust
 from sweeps.paper.scenarios import Reading
 from sweeps.paper.superposition import DT, bodies, gains, simulate
 
@@ -48,12 +48,17 @@ def retuned(model: Model) -> pd.DataFrame:
         K0.append(in_step(high, low))
     table = pd.DataFrame(rows, columns=["schedule", "ratio", "seconds"])
     released = bodies(len(rows), x_init=np.full(len(rows), RELEASE))
-    seen = simulate(gains(K0=np.array(K0)[..., None]), released, model, SECONDS)
-    return table.assign(
-        swing=seen.swing.max(axis=1) / (RELEASE * np.sqrt(table.ratio)),
-        extra=(seen.energy / (seen.start[:, None] + seen.injected)).max(axis=1) - 1.0,
-        at_end=seen.swing[:, -LAST:].max(axis=1) / RELEASE,
-    )
+    stiffness = gains(K0=np.array(K0)[..., None])
+
+    def shares(substeps: int) -> dict[str, np.ndarray]:
+        seen = simulate(stiffness, released, model, SECONDS, substeps)
+        return {
+            "swing": seen.swing.max(axis=1) / (RELEASE * np.sqrt(table.ratio.to_numpy())),
+            "extra": (seen.energy / (seen.start[:, None] + seen.injected)).max(axis=1) - 1.0,
+            "at_end": seen.swing[:, -LAST:].max(axis=1) / RELEASE,
+        }
+
+    return with_trust(table, shares(1), shares(2))
 
 
 def _random_steps(random: np.random.Generator, low: float, high: float, mean: float) -> np.ndarray:

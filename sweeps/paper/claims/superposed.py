@@ -1,5 +1,6 @@
 """C14: random pairs and triples of controllers on one inertia, free and against a stop."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 
@@ -12,6 +13,8 @@ from sweeps.paper.superposition import bodies, gains, simulate
 
 SEED = 2020
 DRAWS = 256
+# What half the step may change: a part of a share, or of 1. It is what a claim allows.
+SAME = 0.01
 
 
 def autonomous(reading: Reading) -> Model:
@@ -23,12 +26,12 @@ def autonomous(reading: Reading) -> Model:
 def draws(reading: Reading) -> pd.DataFrame:
     """One row for each draw; `..._older` is of the same draw with the older law."""
     model = autonomous(reading)
-    older = superposed(replace(model, law="energy"))
+    older = superposed(replace(model, law="energy"), trust=False)
     return superposed(model).assign(gained_older=older.gained, moving_older=older.moving)
 
 
 @lru_cache(maxsize=32)
-def superposed(model: Model) -> pd.DataFrame:
+def superposed(model: Model, trust: bool = True) -> pd.DataFrame:
     """Columns of a draw.
 
     `controllers`; `references`, "one" or "apart"; `stop`; `stiffening`, the largest Fmax/(K0 xb) of
@@ -56,18 +59,36 @@ def superposed(model: Model) -> pd.DataFrame:
         Denv=np.where(stop, random.uniform(0.0, 200.0, n), 0.0),
         gap=random.uniform(-0.1, 0.3, n),
     )
-    seen = simulate(controllers, body, model, 20.0)
-    return pd.DataFrame(
+    table = pd.DataFrame(
         {
             "draw": i,
             "controllers": np.where(three, 3, 2),
             "references": np.where(apart, "apart", "one"),
             "stop": stop,
             "stiffening": np.where(silent, 0.0, Fmax / (K0 * xb)).max(axis=(1, 2)),
+        }
+    )
+
+    def shares(substeps: int) -> dict[str, np.ndarray]:
+        seen = simulate(controllers, body, model, 20.0, substeps)
+        return {
             "gained": seen.energy.max(axis=1) / seen.start - 1.0,
             "moving": seen.kinetic[:, -10:].max(axis=1) / seen.start,
         }
-    )
+
+    return with_trust(table, shares(1), shares(2)) if trust else table.assign(**shares(1))
+
+
+def with_trust(
+    table: pd.DataFrame, seen: Mapping[str, np.ndarray], finer: Mapping[str, np.ndarray]
+) -> pd.DataFrame:
+    """The table with what was seen; a share is trusted if half the step changes it by less
+    than SAME."""
+    known = {
+        f"{name}_trusted": abs(seen[name] - finer[name]) <= SAME * np.maximum(seen[name], 1.0)
+        for name in seen
+    }
+    return table.assign(**seen, **known)
 
 
 def log_uniform(

@@ -2,6 +2,7 @@
 
 | file | question |
 |---|---|
+| explanation.py | Which single reading explains most of the paper, and what is left? |
 | readings.py | Which reading of the paper fits its claims best? |
 | variable_step.py | What does the control period change, and a solver that chooses its steps? |
 | saturation.py | Does Fmax = Td remove the residual error in general? |
@@ -17,6 +18,7 @@ its [numbers] follow, and `lines(data)`, the lines of its [table].
 from types import ModuleType
 
 from sweeps.paper.findings import (
+    explanation,
     limit_cycle,
     online_gains,
     readings,
@@ -26,6 +28,7 @@ from sweeps.paper.findings import (
 )
 
 FINDINGS: tuple[ModuleType, ...] = (
+    explanation,
     readings,
     variable_step,
     saturation,

@@ -83,7 +83,7 @@ def _trusted(cells: Params) -> np.ndarray:
     """Whether the first reading's numbers can be trusted."""
     model = next(iter(READINGS.values()))
     metrics, errors = sweep(cells, model=model, dt=DT, n_steps=N_STEPS, error_estimate=True)
-    return np.asarray(trusted(metrics, errors))
+    return np.asarray(trusted(metrics, errors, T_END).nmse)
 
 
 def _observed(cells: Params, model: Model) -> dict[str, np.ndarray]:

@@ -11,6 +11,7 @@ import xarray as xr
 
 from fic_jax import Params, rollout
 from sweeps.paper import accepted, formulas, loop
+from sweeps.paper.logs import T_END
 
 STORES = ("period-map",)
 CONVERGED = 1e-4  # nmse_tail that the paper reports of the welded study (C1)
@@ -30,11 +31,11 @@ def measure(periods: xr.Dataset, cases: dict[str, Params] = CASES) -> xr.Dataset
     mapped = periods[["nmse_tail", "status"]].load()
     K0, period = np.meshgrid(mapped["K0"], mapped["period"], indexing="ij")
     scenarios = Params(K0=K0.ravel(), period=period.ravel())
-    turns, tail = loop.response(loop.starting(scenarios), accepted.T_END)
+    turns, tail = loop.response(loop.starting(scenarios), T_END)
     excess, _, _ = loop.first_branch(scenarios)
     predicted = {"cycles": turns & (excess > 1.0 + 1e-6), "linear_tail": tail}
     cells = {name: (("K0", "period"), flat.reshape(K0.shape)) for name, flat in predicted.items()}
-    gain = formulas.gain_for(CONVERGED, Params(), accepted.T_END)
+    gain = formulas.gain_for(CONVERGED, Params(), T_END)
     return mapped.assign(cells).assign(gain=gain).merge(_runs(cases), join="exact")
 
 
@@ -46,7 +47,7 @@ def _runs(cases: dict[str, Params]) -> xr.Dataset:
     longest = max(run.sizes["k"] for row in rows for run in row)
     padded = [[run.pad(k=(0, longest - run.sizes["k"])) for run in row] for row in rows]
     runs = xr.concat([xr.concat(row, "solver") for row in padded], "case")
-    n = round(accepted.T_END / FIXED)
+    n = round(T_END / FIXED)
     fixed = [rollout(p, model=accepted.MODEL, dt=FIXED, n_steps=n).tau_env for p in cases.values()]
     return runs.assign(fixed=(("case", "sample"), np.array(fixed, float))).assign_coords(
         case=list(cases), solver=list(accepted.SOLVERS), sample=FIXED * np.arange(1, n + 1)
@@ -55,7 +56,7 @@ def _runs(cases: dict[str, Params]) -> xr.Dataset:
 
 def fixed_tail(data: xr.Dataset) -> xr.DataArray:
     """nmse_tail of the runs at the fixed step."""
-    tail = data["fixed"].sel(sample=slice(accepted.T_END / 2 + FIXED / 2, None))
+    tail = data["fixed"].sel(sample=slice(T_END / 2 + FIXED / 2, None))
     return ((tail / Td - 1.0) ** 2).mean("sample")
 
 
