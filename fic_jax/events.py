@@ -28,7 +28,7 @@ from fic_jax.piece import (
 # the next step, an error of first order.
 PIECES = 4
 # An extreme of tau_env between two ends that exceeds them by less than this part is left out.
-FLAT = 1e-6
+FLAT = 1e-9
 # rad/s, the speed of a motion that has just entered the rest band: inside it, so that it counts as
 # at rest until it has left.
 INSIDE_BAND = (1.0 - 1e-7) * REST_BAND
