@@ -83,7 +83,7 @@ def uniform(x, y):
 
 def unused(x, y):
     """A carried value that nobody reads, and one that the condition alone reads."""
-    a, _, c = jax.lax.while_loop(
+    a, *_ = jax.lax.while_loop(
         lambda s: s[1] > 1.0, lambda s: (s[0] + y, 0.5 * s[1], s[2] * y), (x, x, y)
     )
     return a
