@@ -211,10 +211,13 @@ def plant_step(
         state, progress, interval = step_to_switch(p, state, progress, model, dt)
         return state, progress, see(seen, interval)
 
-    carry = one(state, Progress.none(state.x), seen)
-    for _ in range(1, PIECES):
-        carry = where_rare(carry[1].pieces > 0, partial(one, *carry), carry)
-    return carry[0], carry[2]
+    def next_interval(i: Scalar, carry: tuple[State, Progress, Seen]) -> Any:
+        return where_rare((i == 0) | (carry[1].pieces > 0), partial(one, *carry), carry)
+
+    # a loop: written out, the gradient takes minutes to compile
+    start = state, Progress.none(state.x), seen
+    state, _, seen = jax.lax.fori_loop(0, PIECES, next_interval, start)
+    return state, seen
 
 
 def sampled_step(p: Params, state: State, model: Model, dt: Scalar) -> tuple[State, Sample]:
