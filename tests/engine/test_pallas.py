@@ -26,8 +26,8 @@ BATCH = {
 # every option at least once
 MODELS = [
     Model(),
-    Model("effort", "error_rate", "running", "motor", "damped_rebound", "rk4_events"),
-    Model("energy", "velocity_band", "latched", "interaction", "welded", "rk4_events"),
+    Model("effort", "error_rate", "running", "error", "motor", "damped_rebound", "rk4_events"),
+    Model("energy", "velocity_band", contact="welded", integrator="rk4_events"),
 ]
 
 

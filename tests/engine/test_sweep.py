@@ -22,9 +22,9 @@ from tests.lanes.compiling import compiled_graph, loop_of
 # every option at least once
 MODELS = [
     Model(),
-    Model("effort", "error_rate", "running", "motor", "damped_rebound", "rk4_events"),
-    Model("energy", "velocity_band", "latched", "interaction", "welded", "rk4_events"),
-    Model("algorithm1", "error_rate", "running", "interaction", "hard_stop", "rk4"),
+    Model("effort", "error_rate", "running", "error", "motor", "damped_rebound", "rk4_events"),
+    Model("energy", "velocity_band", contact="welded", integrator="rk4_events"),
+    Model("algorithm1", "error_rate", "running", "error"),
 ]
 
 

@@ -82,7 +82,10 @@ def test_a_scan_without_a_carry_leaves_nothing():
         (lambda x: x.astype(jnp.int8), "int8 among"),
         (lambda x: jax.lax.scan(lambda s, _: (s, s), x, length=3)[0], "over arrays"),
         (lambda x: jnp.stack([x, x]).sum(), "the operation|array"),
-        (lambda x: jax.lax.while_loop(lambda s: s < 1, lambda s: s + 1, x), "while"),
+        (
+            lambda x: jax.lax.while_loop(lambda s: s[0] < 1, lambda s: s + 1, jnp.stack([x, x])),
+            "a while loop over arrays",
+        ),
         (lambda x: x.astype(jnp.float64), "float64 among float32"),
         (lambda x: (x, np.uint8(3)), "uint8 among"),
         (lambda x: (x, np.float64(0.1)), "float64 among float32"),

@@ -112,6 +112,8 @@ def metrics(
     relative = relative / reachable(p)
     touch = np.array([in_contact(x, p, contact) for x in (p["x_init"], *traj["x"])])
     first = int(np.argmax(touch))
+    moves = np.abs(np.diff([p["x_init"], *traj["x"]])) > rounding(p) * dt / p["period"]
+    branches = traj["diverging"][moves]
     finite = np.all(np.isfinite(traj["x"])) and np.all(np.isfinite(traj["v"]))
     return {
         "nmse": float(np.sum(traj["square"])) / (n_steps * dt),
@@ -122,10 +124,16 @@ def metrics(
         "overshoot": max(float(np.max(relative)) - 1.0, 0.0),
         "contact_time": first * dt if touch.any() else inf,
         "contact_lost": dt * int(np.sum(~touch[first:])) if touch.any() else 0.0,
-        "mode_switches": float(np.sum(traj["diverging"][1:] != traj["diverging"][:-1])),
+        "mode_switches": float(np.sum(branches[1:] != branches[:-1])),
         "energy_in": float(np.sum(traj["work"])),
         "finite": float(finite),
     }
+
+
+def rounding(p: Params) -> float:
+    """The rounding of positions in rad: a joint that moves less in a control period is at rest."""
+    size = abs(start_reference(p)) + abs(p["gap"]) + abs(p["x_init"]) + p["xb"]
+    return 4.0 * float(np.finfo(float).eps) * size
 
 
 def settled_from(relative: np.ndarray, dt: float) -> float:

@@ -99,7 +99,8 @@ class Meter:
         self.free_since: float | None = None
         self.lost = 0.0
         self.branch: bool | None = None
-        self.switches = 0
+        self.lasting: bool | None = None
+        self.switches = self.lasting_switches = 0
         self.moved = self.came_to_rest = False
 
     def enter(self, t: float, cell: Cell) -> None:
@@ -114,10 +115,19 @@ class Meter:
             self.free_since = t
 
     def pass_through(self, diverging: bool) -> None:
-        """Count a change of branch, also to a branch of one instant."""
+        """Count a change of branch, also to a branch of one instant: `switches`, of no metric.
+
+        `rk4` spends a step in such a branch, so its count tends to this one.
+        """
         if self.branch is not None and self.branch != diverging:
             self.switches += 1
         self.branch = diverging
+
+    def stay(self, diverging: bool) -> None:
+        """Count a change to a branch in which the joint moves for some time."""
+        if self.lasting is not None and self.lasting != diverging:
+            self.lasting_switches += 1
+        self.lasting = diverging
 
     def latch(self, t: float) -> None:
         """No metric looks at this."""
@@ -137,6 +147,8 @@ class Meter:
         relative[0] = cell.reaction(s.x, s.v) / self.T_n
         self.integrate(relative, s.t, h)
         self.moved = self.moved or v[0] != 0.0
+        if h > 0.0 and any(v):
+            self.stay(cell.diverging)
         turns = sign_changes(derivative(relative), h) if cell.reaction.Denv != 0.0 else []
         marks = [0.0, *turns, h]
         values = [value(relative, t) for t in marks]
@@ -184,6 +196,6 @@ class Meter:
             "overshoot": max(self.largest - 1.0, 0.0),
             "contact_time": self.first_touch,
             "contact_lost": self.lost,
-            "mode_switches": float(self.switches),
+            "mode_switches": float(self.lasting_switches),
             "energy_in": self.work,
         }
