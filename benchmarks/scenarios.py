@@ -6,8 +6,8 @@ import numpy as np
 
 from fic_jax import Model, Params
 
-PERIOD = 0.01  # s, control period and time between samples
-N_SAMPLES = 1000  # 10 s
+PERIOD = 0.01  # s, control period
+N_PERIODS = 1000  # 10 s
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
-"""nmse of one scenario by other solvers: diffrax with constant and adaptive steps, scipy.
+"""nmse of one scenario by other solvers: diffrax with constant and adaptive steps, Taylor series.
 
 Each is written as a user of that library would simulate a controller with a period of 10 ms:
-Algorithm 2 acts between two solves, and a solve holds its reference.
+Algorithm 2 acts between two solves, and a solve holds its reference. The integral of (T - Td)^2 is
+one more state of the solve.
 """
 
 from collections.abc import Callable
@@ -10,23 +11,21 @@ from typing import Any
 import diffrax
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optimistix
 
-from benchmarks.scenarios import N_SAMPLES, PERIOD
+from benchmarks.scenarios import N_PERIODS, PERIOD
 from fic_jax import QUANTITIES, Model, Params, init
-from fic_jax.controller import torque
+from fic_jax.controller import peak_error_after, torque
 from fic_jax.environment import interaction_torque
-from fic_jax.events import enter
-from fic_jax.exploration import expected_reference, explore
+from fic_jax.exploration import explore
 from fic_jax.metrics import reachable
-from fic_jax.rk4 import Motion
+from fic_jax.piece import Piece, enter, outward_sign
 from fic_jax.simulation import decide
-from tests.reference import events
+from tests.reference import motion
 
 Scenario = Callable[[Params], jax.Array]
 MOST_STEPS = 4096  # of the solver in one period
-MOST_SEGMENTS = 20  # of smooth motion in one period
+MOST_PIECES = 20  # of smooth motion in one period
 
 
 def constant_steps(model: Model, substeps: int) -> Scenario:
@@ -36,136 +35,128 @@ def constant_steps(model: Model, substeps: int) -> Scenario:
 
     def one(p: Params) -> jax.Array:
         def step(state: Any, _: None) -> tuple[Any, None]:
-            x, v, measured, memory = state
+            x, v, square, measured, memory = state
             memory, attractor = decide(p, memory, x, v, measured, model, h)
             args = (p, memory.x_h, attractor, model)
-            t = jnp.zeros_like(h)
-            start = solver.init(term, t, h, (x, v), args)
-            moved = solver.step(term, t, h, (x, v), args, start, made_jump=False)
-            x, v = moved[0]
-            return (x, v, interaction_torque(x, v, p, model), memory), None
-
-        def sample(carry: Any, _: None) -> tuple[Any, None]:
-            state, total = carry
-            state = jax.lax.scan(step, state, length=substeps)[0]
-            return (state, total + _square(p, state[2])), None
+            t, y = jnp.zeros_like(h), (x, v, square)
+            start = solver.init(term, t, h, y, args)
+            x, v, square = solver.step(term, t, h, y, args, start, made_jump=False)[0]
+            return (x, v, square, interaction_torque(x, v, p, model), memory), None
 
         s = init(p, model)
-        start = ((s.x, s.v, s.measured, s.memory), jnp.zeros_like(s.x))
-        (_, total), _ = jax.lax.scan(sample, start, length=N_SAMPLES)
-        return total / N_SAMPLES
+        start = (s.x, s.v, jnp.zeros_like(s.x), s.measured, s.memory)
+        state, _ = jax.lax.scan(step, start, length=N_PERIODS * substeps)
+        return _nmse(p, state[2])
 
     return one
 
 
-def adaptive_with_events(model: Model, rtol: float) -> Scenario:
-    """Tsit5 with a PI step-size controller, tolerance `rtol`.
+def _held(t: Any, y: Any, args: Any) -> Any:
+    """x', v' and (T - Td)^2 with constant branch and e_M."""
+    p, x_h, attractor, model = args
+    x, v, _ = y
+    tau_env = interaction_torque(x, v, p, model)
+    return v, (torque(x_h - x, attractor, p) - tau_env) / p.I, (tau_env - p.Td) ** 2
 
-    A solve ends at the next control period or at a switch, which is an Event. Without events, the
-    branch would follow from the state, with e_M as a third state: the motion would slide along
-    v = 0, where Algorithm 1 sets a new e_M, and the steps would become tiny. With the flags of
-    `tune_for_throughput`, XLA ends the process on this program (jaxlib 0.10.2).
+
+def _nmse(p: Params, square: jax.Array) -> jax.Array:
+    """From the integral of (T - Td)^2 over the run."""
+    return square / (N_PERIODS * PERIOD) / reachable(p) ** 2
+
+
+def adaptive_with_events(model: Model, rtol: float) -> Scenario:
+    """Tsit5 with a PI step-size controller, tolerance `rtol`, for `divergence = "velocity"`.
+
+    A solve ends at the next control period or at a switch, which is an Event: its law is smooth
+    beyond the switch too. Without events, the branch would follow from the state, with e_M as one
+    more: the motion would slide along v = 0, where Algorithm 1 sets a new e_M, and the steps would
+    become tiny. With the flags of `tune_for_throughput`, XLA ends the process on this program
+    (jaxlib 0.10.2).
     """
-    solver, term = diffrax.Tsit5(), diffrax.ODETerm(_piece)
+    solver, term = diffrax.Tsit5(), diffrax.ODETerm(_along)
     controller = diffrax.PIDController(rtol=rtol, atol=1e-3 * rtol, pcoeff=0.3, icoeff=0.4)
+    # In a step with both, the switch comes first: the motion is still beyond it after its stop.
     event = diffrax.Event(
-        (_to_turn, _to_error, _to_saturation, _to_gap),
+        (_to_switch, _to_stop),
         optimistix.Newton(rtol=1e-3 * rtol, atol=1e-6 * rtol),
-        direction=(False,) * 4,
+        direction=(False, False),
     )
 
     def one(p: Params) -> jax.Array:
-        def segment(carry: Any) -> Any:
-            t, x, v, e_M, x_h, count = carry
-            start = Motion(x, v, jnp.zeros_like(x))
-            attractor, side = enter(p, start, x_h, e_M, jnp.array(False), None, model, PERIOD)
+        def piece(carry: Any) -> Any:
+            t, x, v, e_M, square, x_h, count = carry
+            a = enter(p, x, v, x_h, e_M, None, model)
+            to = _next_switch(a)
             solution = diffrax.diffeqsolve(
                 term,
                 solver,
                 t0=t,
                 t1=PERIOD,
                 dt0=PERIOD - t,
-                y0=(x, v),
-                args=(p, x_h, attractor, side, model),
+                y0=(jnp.zeros_like(x), a.u, square),
+                args=(p, a, to),
                 stepsize_controller=controller,
                 max_steps=MOST_STEPS,
                 throw=False,
                 event=event,
             )
-            turned = solution.event_mask[0]
-            x, v = (leaf[0] for leaf in solution.ys)
-            v = jnp.where(turned, 0.0, v)
-            e_M = jnp.where(attractor.diverging, x_h - x, attractor.e_M)
-            return solution.ts[0], x, v, e_M, x_h, count + 1
+            passes, stops = solution.event_mask
+            z, u, square = (leaf[0] for leaf in solution.ys)
+            x = a.x + a.s * jnp.where(passes, to, z)
+            x = jnp.where(passes & (to == a.wall), p.gap, x)
+            v = jnp.where(stops, 0.0, a.s * u)
+            e_M = peak_error_after(a.attractor, x_h - x)
+            return solution.ts[0], x, v, e_M, square, x_h, count + 1
 
         def goes_on(carry: Any) -> jax.Array:
-            return (carry[0] < PERIOD) & (carry[-1] < MOST_SEGMENTS)
+            return (carry[0] < PERIOD) & (carry[-1] < MOST_PIECES)
 
-        def sample(carry: Any, _: None) -> tuple[Any, None]:
-            (x, v, e_M, x_h), total = carry
+        def period(carry: Any, _: None) -> tuple[Any, None]:
+            x, v, e_M, square, x_h = carry
             none = jnp.zeros_like(x, jnp.int32)
-            x_h = explore(x_h, none, x, interaction_torque(x, v, p, model), p, model, PERIOD)[0]
-            first = (jnp.zeros_like(x), x, v, e_M, x_h, none)
-            x, v, e_M, x_h = jax.lax.while_loop(goes_on, segment, first)[1:5]
-            total = total + _square(p, interaction_torque(x, v, p, model))
-            return ((x, v, e_M, x_h), total), None
+            tau_env = interaction_torque(x, v, p, model)
+            x_h = explore(x_h, none, x, tau_env, p, model, PERIOD)[0]
+            first = (jnp.zeros_like(x), x, v, e_M, square, x_h, none)
+            return jax.lax.while_loop(goes_on, piece, first)[1:6], None
 
-        rest = jnp.zeros_like(p.x_init)
-        start = ((p.x_init, p.v_init, rest, expected_reference(p)), rest)
-        (_, total), _ = jax.lax.scan(sample, start, length=N_SAMPLES)
-        return total / N_SAMPLES
+        s = init(p, model)
+        first = (s.x, s.v, s.memory.e_M, jnp.zeros_like(s.x), s.memory.x_h)
+        end, _ = jax.lax.scan(period, first, length=N_PERIODS)
+        return _nmse(p, end[3])
 
     return one
 
 
-def _piece(t: Any, y: Any, args: Any) -> Any:
-    """x' and v' on the smooth piece of law and contact that `side` lies in."""
-    p, x_h, attractor, side, model = args
-    x, v = y
-    tau = torque(x_h - x, attractor, p, x_h - side.x)
-    return v, (tau - interaction_torque(x, v, p, model, (side.x, side.v))) / p.I
+def _next_switch(a: Piece) -> jax.Array:
+    """The way (rad) to the next switch of law, torque limit or contact."""
+    falls = a.slope > 0.0
+    limit = jnp.where(falls, a.slack / jnp.where(falls, a.slope, 1.0), jnp.inf)
+    return jnp.minimum(jnp.minimum(a.ahead, limit), a.wall)
 
 
-def _ahead(value: jax.Array, side: jax.Array) -> jax.Array:
-    """Distance to the switch at 0, positive on the side where the motion starts."""
-    return jnp.where(side > 0.0, value, -value)
+def _along(t: Any, y: Any, args: Any) -> Any:
+    """z', u' and (T - Td)^2 along a piece, all of them in the direction of the motion."""
+    p, a, _ = args
+    z, u, _ = y
+    b, sign = (p.xb - p.x0) / p.S, outward_sign(a)
+    bend = sign * b * a.stiffness * jnp.expm1(-sign * z / b)
+    tau = a.torque + jnp.where(a.bends, bend, -a.stiffness * z)
+    tau_env = a.tau_env + a.Kenv * z + a.Denv * (u - a.u)
+    return u, (tau - tau_env) / p.I, (tau_env - a.s * p.Td) ** 2
 
 
-def _to_turn(t: Any, y: Any, args: Any, **_: Any) -> Any:
-    return _ahead(y[1], args[3].v)
+def _to_switch(t: Any, y: Any, args: Any, **_: Any) -> Any:
+    return args[2] - y[0]
 
 
-def _to_error(t: Any, y: Any, args: Any, **_: Any) -> Any:
-    return _ahead(args[1] - y[0], args[1] - args[3].x)
+def _to_stop(t: Any, y: Any, args: Any, **_: Any) -> Any:
+    return y[1]
 
 
-def _to_saturation(t: Any, y: Any, args: Any, **_: Any) -> Any:
-    p, x_h, _, side, _ = args
-    return _ahead(jnp.abs(x_h - y[0]) - p.x0, jnp.abs(x_h - side.x) - p.x0)
+def by_taylor_series(p: Params, model: Model) -> float:
+    """Taylor series of order 20 between located switches, in plain Python (tests/reference).
 
-
-def _to_gap(t: Any, y: Any, args: Any, **_: Any) -> Any:
-    p, _, _, side, model = args
-    return (
-        jnp.ones_like(y[0]) if model.contact == "welded" else _ahead(y[0] - p.gap, side.x - p.gap)
-    )
-
-
-def _held(t: Any, y: Any, args: Any) -> Any:
-    """x' and v' with constant branch and e_M."""
-    p, x_h, attractor, model = args
-    x, v = y
-    return v, (torque(x_h - x, attractor, p) - interaction_torque(x, v, p, model)) / p.I
-
-
-def _square(p: Params, tau_env: jax.Array) -> jax.Array:
-    return ((tau_env - p.Td) / reachable(p)) ** 2
-
-
-def located_by_scipy(p: Params, model: Model, rtol: float) -> float:
-    """scipy's DOP853; every switch is an event (tests/reference/events.py).
-
-    Raises Irregular if short steps do not converge.
+    Raises Irregular if the scenario chatters.
     """
     choices: dict[str, str] = {
         "law": model.law,
@@ -175,12 +166,4 @@ def located_by_scipy(p: Params, model: Model, rtol: float) -> float:
         "contact": model.contact,
     }
     plain = {name: float(getattr(p, name)) for name in QUANTITIES}
-    times = PERIOD * np.arange(1, N_SAMPLES + 1)
-    before = events.RTOL, events.ATOL
-    events.RTOL, events.ATOL = rtol, 1e-2 * rtol
-    try:
-        tau_env = events.simulate(plain, choices, N_SAMPLES * PERIOD, times)["tau_env"]
-    finally:
-        events.RTOL, events.ATOL = before
-    reached = np.sign(plain["Td"]) * min(abs(plain["Td"]), plain["Fmax"])
-    return float(np.mean(((tau_env - plain["Td"]) / reached) ** 2))
+    return motion.metrics(plain, choices, N_PERIODS * PERIOD)["nmse"]

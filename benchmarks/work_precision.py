@@ -2,15 +2,16 @@
 
     python -m benchmarks.work_precision [--scenarios N] [--only METHOD] [--out FILE.png]
 
-The error is that of nmse, relative to its converged value: `rk4_events` with 32 plant steps per
-sample. A scenario is regular if 16 steps give the same value within 1e-5; a limit cycle has no
-converged value, so it is not regular. All runs share the period, the samples (every 10 ms for 10 s)
-and the metric: only the integration differs.
+The error is that of nmse, an integral over the motion, relative to its converged value:
+`rk4_events` with 32 plant steps per control period. A scenario is regular if 16 steps give the same
+value within 1e-5; a limit cycle has no converged value, so it is not regular. All runs share the
+control period (10 ms for 10 s) and the metric: only the integration differs.
 
-The cost is processor time of one core in float64, without compiling. All JAX methods run as a block
-of the engine does, vmapped over lanes that advance together, in a process with the flags of
-`tune_for_throughput`; diffrax with events runs without them, as XLA can't compile it with them.
-scipy shares no code with the rest (tests/reference): its error is that of the converged value.
+The cost is processor time of one core in float64, without compiling. rk4 and rk4_events are
+`fic_jax.sweep`, as its users run it. diffrax runs vmapped over blocks of scenarios that advance
+together, in a process with the flags of `tune_for_throughput`; with events it runs without them, as
+XLA can't compile it with them. The Taylor series are plain Python (tests/reference) and share no
+code with the rest: their error is that of the converged value.
 The command needs the source checkout and the extra `bench`.
 """
 
@@ -18,8 +19,9 @@ import argparse
 import os
 import sys
 import time
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
@@ -35,17 +37,16 @@ import fic_jax
 from benchmarks import solvers
 from benchmarks.child import Child
 from benchmarks.machine import machine
-from benchmarks.scenarios import N_SAMPLES, PERIOD, Kind, kinds
+from benchmarks.scenarios import N_PERIODS, PERIOD, Kind, kinds
 from benchmarks.tables import Row, Table, render
 from fic_jax import QUANTITIES, Model, Params
-from fic_jax.engine.sweeping import UNROLL
 from fic_jax.engine.xla import LANES
-from fic_jax.metrics import compiled_evaluate
 from figures.style import COLUMN_WIDTH, RC, SMALL_SIZE, save
 from tests.reference.events import Irregular
+from tests.reference.taylor import ORDER
 
 SEED = 7
-CONVERGED, NEARLY = 32, 16  # plant steps per sample
+CONVERGED, NEARLY = 32, 16  # plant steps per control period
 REGULAR = 1e-5  # relative difference of nmse between them
 LONG = 3.0  # s, a run that takes longer is not repeated
 REPEATS = 3
@@ -79,7 +80,7 @@ METHODS = (
     Method("rk4_events", STEPS, (1, 2, 4, 8, 16), "#D55E00", "s"),
     Method("diffrax, constant", STEPS, (1, 2, 4, 8, 16), "#AA4499", "^"),
     Method("diffrax, events", "rtol {:g}", (1e-2, 1e-4, 1e-7), "#009E73", "v", False, LANES),
-    Method("scipy, events", "rtol {:g}", (1e-6,), "#000000", "D", scenarios=8),
+    Method("Taylor, events", "order {:g}", (ORDER,), "#000000", "D", scenarios=8),
 )
 
 
@@ -198,7 +199,8 @@ def start(tuned: bool) -> None:
 
 def run(name: str, setting: float, n: int, some: int) -> Row:
     """nmse [kind, some] of the first of `n` seeded scenarios of each kind, and seconds for each."""
-    one_model = _by_scipy if name == "scipy, events" else _by_jax
+    by = {"rk4": _by_engine, "rk4_events": _by_engine, "Taylor, events": _by_taylor}
+    one_model = by.get(name, _by_diffrax)
     parts: list[tuple[np.ndarray, float]] = []
     for model, same in groupby(_kinds(n), key=lambda kind: kind.model):
         stacks = [np.stack(jax.tree.leaves(kind.batch))[:, :some] for kind in same]
@@ -213,14 +215,34 @@ def _kinds(n: int) -> list[Kind]:
     return kinds(n, SEED)
 
 
-def _by_jax(
+def _by_engine(
     name: str, setting: float, model: Model, columns: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """nmse of [field, N] scenarios, and seconds for each: in blocks of lanes, as in the engine."""
+    """nmse of [field, N] scenarios, and seconds for each."""
+    model = replace(model, integrator=name)  # type: ignore[arg-type]
+    batch = Params(**dict(zip(QUANTITIES, columns, strict=True)))
+    dt, n_steps = PERIOD / setting, int(N_PERIODS * setting)
+
+    def sweep() -> np.ndarray:
+        return np.asarray(fic_jax.sweep(batch, model=model, dt=dt, n_steps=n_steps).nmse)
+
+    sweep()  # compiles
+    return _timed(sweep)
+
+
+def _by_diffrax(
+    name: str, setting: float, model: Model, columns: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """As `_by_engine`, in blocks of lanes."""
     n = columns.shape[1]
     whole = np.pad(columns, ((0, 0), (0, -n % LANES)), mode="edge")
     blocks = np.moveaxis(whole.reshape(len(whole), -1, LANES), 1, 0)
-    one = _scenario(name, setting, model)
+    constant = name == "diffrax, constant"
+    one = (
+        solvers.constant_steps(model, int(setting))
+        if constant
+        else solvers.adaptive_with_events(model, setting)
+    )
 
     def block(columns: jax.Array) -> jax.Array:
         return jax.vmap(one)(Params(**dict(zip(QUANTITIES, columns, strict=True))))
@@ -229,41 +251,31 @@ def _by_jax(
         return jax.lax.map(block, blocks)
 
     program = jax.jit(batch).lower(blocks).compile()
+    nmse, seconds = _timed(lambda: np.asarray(program(blocks)).ravel())
+    return nmse[:n], seconds
+
+
+def _timed(run: Callable[[], np.ndarray]) -> tuple[np.ndarray, float]:
+    """What a run returns, and its least processor time in seconds for each of its scenarios."""
     fastest = np.inf
     for _ in range(REPEATS):
         start = time.process_time()
-        nmse = np.asarray(program(blocks)).ravel()
+        nmse = run()
         fastest = min(fastest, time.process_time() - start)
         if fastest > LONG:
             break
-    return nmse[:n], fastest / whole.shape[1]
+    return nmse, fastest / len(nmse)
 
 
-def _scenario(name: str, setting: float, model: Model) -> solvers.Scenario:
-    """nmse of one scenario by a JAX method."""
-    if name == "diffrax, constant":
-        return solvers.constant_steps(model, int(setting))
-    if name == "diffrax, events":
-        return solvers.adaptive_with_events(model, setting)
-    model = Model(contact=model.contact, integrator="rk4" if name == "rk4" else "rk4_events")
-    unroll = UNROLL[model.integrator] if setting == 1 else 1
-    dt, substeps = np.float64(PERIOD), int(setting)
-
-    def one(p: Params) -> jax.Array:
-        return compiled_evaluate(p, model, dt, N_SAMPLES, substeps, unroll).nmse
-
-    return one
-
-
-def _by_scipy(
+def _by_taylor(
     name: str, setting: float, model: Model, columns: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """As `_by_jax`; nmse is NaN where short steps do not converge."""
+    """As `_by_engine`; nmse is NaN where a scenario chatters."""
     start, nmse = time.process_time(), np.full(columns.shape[1], np.nan)
     for i, column in enumerate(columns.T):
         p = Params(**dict(zip(QUANTITIES, column, strict=True)))
         with suppress(Irregular):
-            nmse[i] = solvers.located_by_scipy(p, model, setting)
+            nmse[i] = solvers.by_taylor_series(p, model)
     return nmse, (time.process_time() - start) / len(nmse)
 
 

@@ -76,11 +76,11 @@ def test_fic_sweep_bench_measures_scaling_whole_runs_and_commits(bare):
 
 def test_work_precision_makes_its_table_and_figure(tmp_path):
     figure = tmp_path / "figure.png"
-    arguments = ("--scenarios", "1", "--only", "scipy, events", "--json", "--out", str(figure))
+    arguments = ("--scenarios", "1", "--only", "Taylor, events", "--json", "--out", str(figure))
     (row,) = json.loads(module("benchmarks.work_precision", *arguments))["tables"]["precision"][
         "rows"
     ]
-    assert row["method"] == "scipy, events" and row["setting"] == "rtol 1e-06"
+    assert row["method"] == "Taylor, events" and row["setting"] == "order 20"
     assert row["median"] < 1e-6 and row["microseconds"] > 0
     assert figure.read_bytes().startswith(b"\x89PNG")
 
