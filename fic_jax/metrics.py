@@ -147,7 +147,10 @@ def update(
         return at + way / jnp.where(enters, before - far, 1.0)
 
     settled = where_rare(enters, entry, last)
-    touches = (acc.touched == jnp.inf) & interval.touches
+    first = acc.touched == jnp.inf
+    touches, counts = first & interval.touches, interval.touches
+    if model.integrator == "rk4":  # a touch is seen at the end of its step
+        counts = counts & ~first
     pulls = model.contact != "hard_stop"
     diverging = interval.attractor.diverging.astype(jnp.int32)
     branch = jnp.where(interval.way > rest * interval.part, diverging, acc.branch)
@@ -161,7 +164,7 @@ def update(
         highest=larger(acc.highest, interval.highest),
         lowest=-larger(-acc.lowest, -interval.lowest) if pulls else acc.lowest,
         touched=jnp.where(touches, at + interval.since, acc.touched),
-        contact=acc.contact.plus(jnp.where(interval.touches, interval.part, 0.0)),
+        contact=acc.contact.plus(jnp.where(counts, interval.part, 0.0)),
         switches=acc.switches + (branch != acc.branch).astype(jnp.int32),
         branch=branch,
     )

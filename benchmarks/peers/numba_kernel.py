@@ -183,7 +183,7 @@ def scenario(  # noqa: PLR0915  one loop, so that the state stays in registers
         if tau_env > highest:  # noqa: PLR1730  passes over a NaN, as `larger` does
             highest = tau_env
         if x >= p.gap:
-            in_contact += 1
+            in_contact += touched <= n_steps  # from the step after the touch on
             touched = min(touched, k + 1)  # the end of its step
         # a joint that moves by less rests: its branch is the sign of rounding errors
         if abs(x - x_before) > rest and branch != diverging:

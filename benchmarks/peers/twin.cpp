@@ -286,7 +286,7 @@ template <class V, class T> void run_vector(const Job<T>& job, int64_t first) {
   for (int w = 0; w < lanes && first + w < job.n; ++w) {
     const T nmse = (square_head[w] + square.total[w]) / n * per_square[w];
     const Int touch = before_touch[w] + (touched_at_start[w] ? 0 : 1);  // the end of its step
-    const Int lost = n - touch - touching_steps[w];
+    const Int lost = n - touch - touching_steps[w] + (touched_at_start[w] ? 0 : 1);
     const T reals[kReals] = {
         nmse,
         square.total[w] / n_tail * per_square[w],

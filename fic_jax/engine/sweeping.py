@@ -189,9 +189,9 @@ def likeness(quantities: Sequence[np.ndarray], _: np.ndarray) -> np.ndarray:
     the environment over that of the controller; the first two by octaves. Measured on random
     scenarios: 0.8 of the time of located switches, 0.93 of rk4's.
     """
-    p = Params(*(np.asarray(q, np.float32) for q in quantities))
     least = np.float32(1e-6)
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+        p = Params(*(np.asarray(q, np.float32) for q in quantities))
         damping = np.log2(p.Denv / np.sqrt(p.Kenv * p.I + least) + np.float32(1e-3))
         demand = np.log2(np.abs(p.Td) / (p.K0 * p.x0) + least)
         stiffness = p.Kenv / p.K0
