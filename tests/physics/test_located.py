@@ -1,7 +1,7 @@
-"""`rk4_events` and the error estimate: converged values, scipy, and exact crossing times."""
+"""`rk4_events`: against scipy with events, and at exact crossing times."""
 
-from dataclasses import dataclass, replace
-from functools import cache, partial
+from dataclasses import replace
+from functools import partial
 from itertools import product
 
 import jax
@@ -9,19 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks.scenarios import N_SAMPLES, PERIOD, kinds
-from fic_jax import (
-    TRUST,
-    Metrics,
-    Model,
-    Params,
-    energy,
-    evaluate_with_error,
-    force,
-    rollout,
-    trusted,
-)
-from fic_jax.metrics import compiled_evaluate
+from fic_jax import Model, Params, energy, force, rollout
 from fic_jax.stiffness import fastest_rate
 from tests.reference import events
 from tests.reference.scenarios import CHOICES, random_params
@@ -42,104 +30,6 @@ def batch_of(n, **leaves):
     return jax.tree.map(lambda leaf: jnp.broadcast_to(jnp.float64(leaf), (n,)), Params(**leaves))
 
 
-# Converged values --------------------------------------------------------------------------------
-
-EACH = 256  # scenarios of a kind
-CONTACTS = ("hard_stop", "welded")
-
-
-@dataclass(frozen=True)
-class Measured:
-    """nmse with plant steps of 10 ms, and converged."""
-
-    exact: np.ndarray  # nmse with 32 plant steps a sample
-    nearly: np.ndarray  # with 16
-    runs: dict[str, tuple[Metrics, Metrics]]  # by integrator: metrics and their estimated errors
-
-    @property
-    def regular(self):
-        """Not a limit cycle: the nmse of a limit cycle does not converge."""
-        return np.abs(self.nearly / self.exact - 1.0) < 1e-5
-
-
-@cache
-def measured(contact):
-    some = [kind.batch for kind in kinds(EACH, seed=11) if kind.model.contact == contact]
-    batch = jax.tree.map(lambda *leaves: np.concatenate(leaves), *some)
-
-    def fine(substeps):
-        one = partial(compiled_evaluate, dt=jnp.float64(PERIOD), n_steps=N_SAMPLES)
-        one = partial(one, model=Model(contact=contact).with_events(), substeps=substeps)
-        return np.asarray(jax.jit(jax.vmap(one))(batch).nmse)
-
-    def coarse(integrator):
-        model = Model(contact=contact, integrator=integrator)
-        one = partial(evaluate_with_error, model=model, dt=PERIOD, n_steps=N_SAMPLES)
-        return jax.tree.map(np.asarray, jax.jit(jax.vmap(one))(batch))
-
-    return Measured(fine(32), fine(16), {name: coarse(name) for name in ("rk4", "rk4_events")})
-
-
-@pytest.mark.parametrize("contact", CONTACTS)
-def test_nmse_its_error_and_trust_with_steps_of_ten_milliseconds(contact):
-    """nmse of regular scenarios: its error, the estimate of the error, and trust.
-
-    One test, so that its seven programs are compiled once.
-    """
-    m = measured(contact)
-    assert m.regular.mean() > 0.9
-    nmse_is_the_converged_one(m)
-    for integrator, (metrics, errors) in m.runs.items():
-        the_estimate_brackets_the_error(m, metrics, errors)
-        trust_means_what_it_says(m, metrics, errors)
-        # the other one is the next test
-        if (contact, integrator) != ("hard_stop", "rk4_events"):
-            no_limit_cycle_is_trusted(m, metrics, errors)
-
-
-def nmse_is_the_converged_one(m):
-    """Median 5e-5, 90th percentile 2e-3, in parts of the converged value.
-
-    These are the bounds for `rk4_events`. The worst tenth has a second switch in some step, which
-    acts late. rk4 has a first-order error at every switch: a hundred times the median.
-    """
-    error = {name: np.abs(r[0].nmse / m.exact - 1.0)[m.regular] for name, r in m.runs.items()}
-    half, most = np.percentile(error["rk4_events"], [50, 90])
-    assert half < 5e-5
-    assert most < 2e-3
-    assert np.median(error["rk4"]) > 100.0 * half
-    assert np.percentile(error["rk4"], 90) > 10.0 * most
-
-
-def the_estimate_brackets_the_error(m, metrics, errors):
-    """In 95 of 100 regular scenarios no error is five times its estimate, nor a fifth of it.
-
-    A twentieth is left for two runs that err alike, by chance or by the same switch.
-    """
-    true = np.abs(metrics.nmse - m.exact)[m.regular]
-    estimate = errors.nmse[m.regular]
-    assert np.mean(true <= 5.0 * estimate) >= 0.95
-    assert np.mean(estimate <= 5.0 * true) >= 0.95
-
-
-def trust_means_what_it_says(m, metrics, errors):
-    """Of the trusted regular scenarios 95 % are known to 1 %, and more than half are trusted."""
-    trust = np.asarray(trusted(metrics, errors))[m.regular]
-    true = np.abs(metrics.nmse / m.exact - 1.0)[m.regular]
-    assert np.mean(true[trust] <= TRUST) >= 0.95
-    assert trust.mean() > 0.5
-
-
-def no_limit_cycle_is_trusted(m, metrics, errors):
-    """One for certain: halving the step from 10/16 to 10/32 ms still changes nmse beyond TRUST.
-
-    The last bits decide by how much; the test takes any change above TRUST.
-    """
-    cycles = np.abs(m.nearly / m.exact - 1.0) > TRUST
-    assert cycles.any()
-    assert not np.asarray(trusted(metrics, errors))[cycles].any()
-
-
 # The independent solver --------------------------------------------------------------------------
 
 # Every option, and every pair of options of the first three choices: a Latin square.
@@ -150,6 +40,7 @@ VARIANTS = [
         "divergence": CHOICES["divergence"][(i + j) % 3],
         "peak": CHOICES["peak"][(i + 2 * j) % 2],
         "feedback": CHOICES["feedback"][(i * j) % 2],
+        "expectation": CHOICES["expectation"][(i + j) % 2],
     }
     for i, j in product(range(3), range(3))
 ]
@@ -260,7 +151,7 @@ def test_release_passes_the_end_of_the_spring_at_its_exact_time(law, e0):
 def test_passing_the_reference_and_turning_at_their_exact_times(v):
     """Converging, through e = 0, diverging (at 0.05 rad/s beyond |e| = x0), turning, converging.
 
-    Algorithm 1 starts with e_M = 0 and slope 2 K0. A long b and no torque limit in reach make the
+    Algorithm 1 starts with e_M = e and slope 2 K0 about e_M/2. A long b and no torque limit in reach make the
     profile K0 x0 beyond x0, to 1e-12.
     """
     K0, x0, e0, sign = 100.0, 0.1, 0.01, np.sign(v)
@@ -271,8 +162,10 @@ def test_passing_the_reference_and_turning_at_their_exact_times(v):
     s = simulate(p, DT, Model(law="effort", contact="welded").with_events(), 1000)
     t, inertia = np.asarray(s.t), inertia[:, None]
     w1, w2 = np.sqrt(2.0 * K0 / inertia), np.sqrt(K0 / inertia)
-    passed, u = np.arctan2(w1 * e0, abs(v)) / w1, np.hypot(v, w1 * e0)  # e = 0 with speed u
-    coming = e0 * np.cos(w1 * t) - abs(v) / w1 * np.sin(w1 * t)
+    half, u = 0.5 * e0, abs(v)  # at e = 0 it has its speed again
+    swing, phase = np.hypot(half, u / w1), np.arctan2(u / w1, half)
+    passed = (np.arccos(-half / swing) - phase) / w1
+    coming = half + swing * np.cos(w1 * t + phase)
     going = -u / w2 * np.sin(w2 * (t - passed))
     peak, turn, F_M = u / w2, passed + 0.5 * np.pi / w2, K0 * u / w2
     if abs(v) == 0.05:
@@ -291,13 +184,10 @@ def test_passing_the_reference_and_turning_at_their_exact_times(v):
 
 
 @pytest.mark.parametrize(
-    ("integrator", "lowest", "highest"), [("rk4", 0.8, 1.2), ("rk4_events", 2.0, 4.2)]
+    ("integrator", "lowest", "highest"), [("rk4", 0.8, 1.2), ("rk4_events", 4.0, 6.0)]
 )
 def test_order_at_a_crossing(integrator, lowest, highest):
-    """Mean error behind one contact over 32 phases, 8 to 1 ms: first order, and order two or more.
-
-    It is RK4's own four, as long as each step has one switch.
-    """
+    """Mean error behind one contact over 32 phases, 8 to 1 ms: first order, and four or more."""
     w, zeta, v, t_end, phases = 10.0, 0.4, 1.0, 0.2, 32
     gap = 0.1 - 0.008 * (np.arange(phases) + 0.5) / phases
     wd, s = w * np.sqrt(1.0 - zeta**2), t_end - gap / v
