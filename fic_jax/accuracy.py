@@ -40,23 +40,20 @@ TRUST = {
     "mode_switches": Bound(0.01, "value"),
     "energy_in": Bound(0.01, "value", floor=1e-6),
 }
-# Halving the step removes three quarters of the error of a method of order 2. The error of rk4 is
-# of first order and erratic; its companion is far more accurate, so the difference is the error.
-_TO_LIMIT = {"rk4": 1.0, "rk4_events": 4.0 / 3.0}
 
 # The error estimate is a multiple of the difference from the companion run. The companion of an rk4
-# run is far more accurate, so the difference is the error. Twice the difference of two located runs
-# makes runs with other steps agree within their estimates.
-_OF_DIFFERENCE = {"rk4": 1.0, "rk4_events": 2.0}
-# Two located runs that end with torques further apart than this part of T_n have become different
-# motions, as in chaos: that their sums agree is luck.
-PART = 0.01
-# The companion's joint counts as at rest earlier: switches that depend on it are not trusted.
-COARSE = 1e4
-SUMS = ("nmse", "nmse_tail", "steady_error", "contact_lost", "mode_switches", "energy_in")
+# run is far more accurate, so the difference is the error; a half more, and two runs with other
+# steps agree within the sum of their estimates (99 % of 4,096 scenarios; 93 % without).
+_OF_DIFFERENCE = {"rk4": 1.5, "rk4_events": 2.0}
 # The companion's relative change of parameters, in units of CHANGE[bits]: no two cancel.
 CHANGES = {"K0": 1.0, "Kenv": -0.7, "I": 0.6, "Td": -0.8, "sigma": 0.9, "Denv": 0.5}
-CHANGE = {32: 4e-6, 64: 1e-10}
+CHANGE = {32: 4e-6, 64: 1e-10}  # what some hundred steps make of the rounding of parameters
+# The companion's joint counts as at rest earlier: switches that depend on it are not trusted.
+COARSE = 1e4
+# Two located runs that end with torques further apart than this part of T_n have become different
+# motions, as in chaos: that their sums agree is luck.
+APART = 0.003
+SUMS = ("nmse", "nmse_tail", "steady_error", "contact_lost", "mode_switches", "energy_in")
 
 
 def evaluate_with_error(
@@ -65,10 +62,11 @@ def evaluate_with_error(
     """`evaluate`, and the estimated absolute error of each metric in the metric's unit.
 
     A companion run has plant steps of dt/2, located switches (`rk4_events`), and parameters changed
-    by as much as rounding changes them (1e-6 in float32, 1e-8 in float64): a scenario that hangs on
-    a coin gets a large error. The error estimate is the difference between the two runs (`rk4`), or
-    twice that (`rk4_events`). It is 0 if a metric is infinite in both runs. If a run becomes
-    infinite or NaN, all errors are NaN and `finite` is false.
+    by 1e-10 (float64) or 4e-6 (float32): a scenario that hangs on a coin gets a large error. The
+    error estimate is 1.5 times the difference between the two runs (`rk4`), or twice that
+    (`rk4_events`). It is 0 if a time is infinite in both runs; infinite if the runs part, that is
+    if they end with torques that differ by more than 0.3 % of T_n (`rk4_events`: all sums). If a
+    run becomes infinite or NaN, all errors are NaN and `finite` is false.
 
     Takes Params with scalar leaves; returns two Metrics with scalar leaves.
 
@@ -97,7 +95,7 @@ def estimated(
         p, **{name: getattr(p, name) * (1.0 + part * change) for name, part in CHANGES.items()}
     )
     companion, T_companion = run(nearby, model.with_events(), dt, n_steps, finer=2, coarse=COARSE)
-    apart = jnp.abs(deviation(T, p) - deviation(T_companion, nearby)) > PART
+    apart = jnp.abs(deviation(T, p) - deviation(T_companion, nearby)) > APART
     errors = difference(metrics, companion, apart, model)
     return metrics, with_rounding(errors, metrics, p)
 
@@ -112,7 +110,9 @@ def difference(metrics: Metrics, companion: Metrics, apart: Scalar, model: Model
         return jnp.where(finite, error, jnp.nan)
 
     errors = jax.tree.map(error, metrics, companion)
-    if model.integrator == "rk4_events":
+    if model.integrator == "rk4":  # it does not see what switches within a step
+        errors = replace(errors, mode_switches=errors.mode_switches + 1.0)
+    else:
         lucky = {name: jnp.where(apart & finite, jnp.inf, getattr(errors, name)) for name in SUMS}
         errors = replace(errors, **lucky)
     return replace(errors, finite=finite)

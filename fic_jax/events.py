@@ -28,7 +28,7 @@ from fic_jax.piece import (
 # the next step, an error of first order.
 PIECES = 4
 # An extreme of tau_env between two ends that exceeds them by less than this part is left out.
-FLAT = 1e-6
+FLAT = 1e-9
 # rad/s, the speed of a motion that has just entered the rest band: inside it, so that it counts as
 # at rest until it has left.
 INSIDE_BAND = (1.0 - 1e-7) * REST_BAND
@@ -132,11 +132,12 @@ def along(
         + (1.0 / 60.0) * (r0 * r0 + g0 * rr0 + r1 * r1 + g1 * rr1)
     )
 
-    def parabola() -> Scalar:
-        return a.tau_env + 0.5 * r0 * r0 / jnp.where(r0 == r1, 1.0, r0 - r1)
-
     # An extreme is off the ends by at most |r0 - r1|/8.
     counts = (r0 * r1 < 0.0) & (jnp.abs(r0 - r1) > 8.0 * FLAT * jnp.abs(tau_env))
+
+    def parabola() -> Scalar:
+        return a.tau_env + 0.5 * r0 * r0 / jnp.where(counts, r0 - r1, 1.0)
+
     top = a.s * where_rare(counts, parabola, tau_env)
     T0, T1 = a.s * a.tau_env, a.s * tau_env
     x = a.x + a.s * z
@@ -168,7 +169,8 @@ def _law_at(p: Params, a: Piece, z: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     def bend() -> tuple[Scalar, Scalar, Scalar]:
         b = (p.xb - p.x0) / p.S
         sign, w = outward_sign(a), b * a.stiffness
-        w1 = w * jnp.exp(-sign * z / b)
+        way = jnp.where(a.bends, z, 0.0)  # elsewhere the exponential may overflow
+        w1 = w * jnp.exp(-sign * way / b)
         return a.torque + sign * (w1 - w), w1 / b, (a.torque - sign * w) * z + b * (w - w1)
 
     tau = a.torque - a.stiffness * z
@@ -181,7 +183,8 @@ def arrival(p: Params, a: Piece, path: Path, fast: Scalar, model: Model) -> Arri
     z_end, u_end, one = path.way(), path.speed(), jnp.ones_like(path.h)
     lowest, highest = _speeds(a, model)
     falls = a.slope * z_end > a.slack
-    limit = jnp.where(falls, a.slack / jnp.where(falls, a.slope, 1.0), jnp.inf)
+    slack = jnp.where(falls, a.slack, 0.0)
+    limit = jnp.where(falls, slack / jnp.where(falls, a.slope, 1.0), jnp.inf)
     to = jnp.minimum(jnp.minimum(a.ahead, limit), a.wall)
     stops, rises = u_end < lowest, u_end > highest
     by_speed, passes = stops | rises, z_end > to
@@ -211,7 +214,7 @@ def arrival(p: Params, a: Piece, path: Path, fast: Scalar, model: Model) -> Arri
         at_wall=passes & (a.wall <= to),
     )
     to = jnp.minimum(a.ahead, a.wall)
-    return where_rare(fast, lambda: swept(p, a, path, to), located)
+    return where_rare(fast, lambda: swept(p, a, path, fast, to), located)
 
 
 def root(path: Path, of_speed: Scalar, rise: Scalar, rise_to: Scalar, until: Scalar) -> Scalar:

@@ -138,14 +138,15 @@ def update(
     far, last = deviation(T, p), acc.settled
     inside = jnp.abs(far) <= SETTLING_BAND  # false for NaN
 
+    enters = inside & ends & (last == jnp.inf)  # samples are the ends of plant steps
+
     def entry() -> jax.Array:
         """When T, between two samples on a line, enters the band."""
         before = deviation(acc.T, p)
         way = before - SETTLING_BAND * jnp.sign(before)
-        return at + way / jnp.where(before == far, 1.0, before - far)
+        return at + way / jnp.where(enters, before - far, 1.0)
 
-    # samples are the ends of plant steps
-    settled = where_rare(inside & ends & (last == jnp.inf), entry, last)
+    settled = where_rare(enters, entry, last)
     touches = (acc.touched == jnp.inf) & interval.touches
     pulls = model.contact != "hard_stop"
     diverging = interval.attractor.diverging.astype(jnp.int32)
@@ -177,14 +178,13 @@ def finish(
     T_n = reachable(p)
     per_T_n = 1.0 / T_n
     nmse = (acc.square_head + acc.square.total) / n_steps * per_T_n**2
+    converged = acc.settled <= (1.0 - SETTLED_PART) * n_steps
     touched = acc.touched < jnp.inf
     lost = n_steps - jnp.where(touched, acc.touched, n_steps) - acc.contact.total
     return Metrics(
         nmse=nmse,
         nmse_tail=acc.square.total / n_tail * per_T_n**2,
-        convergence_time=jnp.where(
-            acc.settled <= (1.0 - SETTLED_PART) * n_steps, acc.settled * h, jnp.inf
-        ),
+        convergence_time=jnp.where(converged, jnp.where(converged, acc.settled, 0.0) * h, jnp.inf),
         steady_error=acc.error.total / n_tail * per_T_n,
         peak_torque=jnp.abs(jnp.maximum(acc.highest, -acc.lowest)),  # abs: the larger may be -0
         overshoot=jnp.maximum(jnp.where(T_n < 0.0, acc.lowest, acc.highest) * per_T_n - 1.0, 0.0),

@@ -233,45 +233,46 @@ def whole(path: Path) -> Arrival:
     return Arrival(jnp.ones_like(z), z, path.speed(), no, no)
 
 
-def swept(p: Params, a: Piece, path: Path, to: Scalar) -> Arrival:
+def swept(p: Params, a: Piece, path: Path, fast: Scalar, to: Scalar) -> Arrival:
     """The end of a `fast` piece on the bend, at most at z = `to`.
 
     The bend takes its energy b (w - w1) at once, while the speed hardly changes: so z is the
     independent variable of an RK4 step for the other torques' work and for the time.
     """
     b = (p.xb - p.x0) / p.S
-    sign, w = outward_sign(a), b * a.stiffness
-    guess = path.way()
+    # of another piece, numbers that make no infinite gradient
+    sign, w = outward_sign(a), jnp.where(fast, b * a.stiffness, 0.0)
+    start, guess = jnp.where(fast, a.u, 1.0), jnp.where(fast, path.way(), 0.0)
     reaches = guess >= to
-    z = jnp.where(reaches, to, guess)
+    z = jnp.where(reaches & fast, to, guess)
     per_I = 2.0 / p.I
-    least = (0.1 * a.u) ** 2
+    least = (0.1 * start) ** 2
 
     def speed(part: float, taken: Scalar) -> Scalar:
         """At a part of z, with `taken` from u^2 by the environment."""
         way = part * z
         bend = b * w * (1.0 - jnp.exp(-sign * way / b))
-        square = a.u**2 + per_I * ((a.torque - sign * w) * way + bend) - taken
+        square = start**2 + per_I * ((a.torque - sign * w) * way + bend) - taken
         return jnp.sqrt(jnp.where(square > least, square, least))
 
     def rates(part: float, taken: Scalar) -> tuple[Scalar, Scalar]:
         u = speed(part, taken)
-        tau_env = a.tau_env + a.Kenv * part * z + a.Denv * (u - a.u)
+        tau_env = a.tau_env + a.Kenv * part * z + a.Denv * (u - start)
         return z * per_I * tau_env, z / u
 
     k1 = rates(0.0, jnp.zeros_like(z))
     k2 = rates(0.5, 0.5 * k1[0])
     k3 = rates(0.5, 0.5 * k2[0])
     k4 = rates(1.0, k3[0])
-    taken, time = (
-        (c1 + 2.0 * c2 + 2.0 * c3 + c4) / 6.0 for c1, c2, c3, c4 in zip(k1, k2, k3, k4, strict=True)
-    )
+    stages = zip(k1, k2, k3, k4, strict=True)
+    taken, time = ((c1 + 2.0 * c2 + 2.0 * c3 + c4) * (1.0 / 6.0) for c1, c2, c3, c4 in stages)
     u = speed(1.0, taken)
     tau = a.torque + sign * w * (jnp.exp(-sign * z / b) - 1.0)
-    change = (tau - a.tau_env - a.Kenv * z - a.Denv * (u - a.u)) / p.I
+    change = (tau - a.tau_env - a.Kenv * z - a.Denv * (u - start)) / p.I
     late = jnp.where(reaches, 0.0, path.h - time)  # the guess was not exact
+    part = time / jnp.where(reaches & fast, path.h, 1.0)
     return Arrival(
-        part=jnp.where(reaches, jnp.minimum(time / path.h, 1.0), 1.0),
+        part=jnp.where(reaches, jnp.minimum(part, 1.0), 1.0),
         z=z + late * (u + 0.5 * late * change),
         u=u + late * change,
         switches=reaches,

@@ -21,10 +21,19 @@ ARROWS = {
     "passivity": {"params", "profile", "controller"},
     "stiffness": {"params"},
     "rk4": {"params", "controller", "environment"},
-    "events": {"params", "controller", "rk4", "lanes.hints"},
-    "simulation": {"params", "controller", "exploration", "environment", "rk4", "events"},
-    "metrics": {"params", "environment", "simulation", "lanes.hints"},
-    "accuracy": {"params", "metrics", "simulation"},
+    "piece": {"params", "controller", "exploration", "environment", "lanes.hints"},
+    "events": {"params", "controller", "piece", "lanes.hints"},
+    "simulation": {
+        "params",
+        "controller",
+        "exploration",
+        "environment",
+        "rk4",
+        "events",
+        "lanes.hints",
+    },
+    "metrics": {"params", "environment", "piece", "events", "simulation", "lanes.hints"},
+    "accuracy": {"params", "piece", "events", "metrics", "simulation"},
 }
 # Rooms, each with all rooms that it may import: cli -> {paper, figures} -> runner -> store -> plan
 # -> spec -> fic_jax. The longest name that fits a module is its room.

@@ -14,10 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.peers import installed, packed
-from fic_jax import Metrics, Model, Params, Sample, State, init
+from fic_jax import Metrics, Model, Params, State, init
 from fic_jax.controller import torque
-from fic_jax.environment import interaction_torque
-from fic_jax.metrics import empty, finish, update
+from fic_jax.environment import in_contact, interaction_torque
+from fic_jax.events import Interval
+from fic_jax.metrics import begin_tail, empty, finish, update
+from fic_jax.piece import rounding
+from fic_jax.rk4 import Motion
 from fic_jax.simulation import decide
 
 MODEL = Model()
@@ -66,35 +69,49 @@ def _solver() -> Any:
     return ClassicRK4()
 
 
-def _rates(t: Any, y: Any, held: Any) -> Any:
-    """d/dt of position, velocity and work; the step holds the reference and the attractor."""
-    p, x_h, attractor = held
-    x, v, _ = y
-    tau = torque(x_h - x, attractor, p)
-    return v, (tau - interaction_torque(x, v, p, MODEL)) / p.I, tau * v
+def _rates(t: Any, y: Motion, held: Any) -> Motion:
+    """d/dt of the motion and its integrals; the step holds the reference and the attractor."""
+    p, x_h, attractor, dt = held
+    tau = torque(x_h - y.x, attractor, p)
+    tau_env = interaction_torque(y.x, y.v, p, MODEL)
+    error = tau_env - p.Td
+    return Motion(y.v, (tau - tau_env) / p.I, tau * y.v, error / dt, error**2 / dt)
 
 
 def _evaluate(p: Params, dt: jax.Array, n_steps: int, solver: Any, term: Any) -> Metrics:
     """Metrics of one scenario."""
+    tail, rest = n_steps // 2, rounding(p) * (dt / p.period)
 
     def body(carry: Any, k: jax.Array) -> tuple[Any, None]:
         state, acc = carry
+        acc = jax.tree.map(lambda begun, on: jnp.where(k == tail, begun, on), begin_tail(acc), acc)
         memory, attractor = decide(p, state.memory, state.x, state.v, state.measured, MODEL, dt)
-        y = (state.x, state.v, jnp.zeros_like(state.x))
-        held = (p, memory.x_h, attractor)
+        y = Motion.at(state.x, state.v)
+        held = (p, memory.x_h, attractor, dt)
         t = k.astype(dt.dtype) * dt
         start = solver.init(term, t, t + dt, y, held)
         y, _, _, _, _ = solver.step(term, t, t + dt, y, held, start, made_jump=False)
-        x, v, work = y
-        tau_env = interaction_torque(x, v, p, MODEL)
-        e = memory.x_h - x
-        tau = torque(e, attractor, p)
-        sample = Sample(
-            t + dt, x, v, memory.x_h, e, attractor.e_M, attractor.diverging, tau, tau_env, work
+        tau_env, one = interaction_torque(y.x, y.v, p, MODEL), jnp.ones_like(y.x)
+        interval = Interval(
+            x=y.x,
+            v=y.v,
+            tau=torque(memory.x_h - y.x, attractor, p),
+            T=tau_env,
+            attractor=attractor,
+            part=one,
+            ends_step=jnp.array(True),
+            work=y.work,
+            error=y.error,
+            square=y.square,
+            highest=tau_env,
+            lowest=tau_env,
+            touches=in_contact(y.x, p, MODEL),
+            since=one,
+            way=jnp.abs(y.x - state.x),
         )
-        state = State(k + 1, x, v, tau_env, memory)
-        return (state, update(acc, sample, k, n_steps, p, MODEL)), None
+        state = State(k + 1, y.x, y.v, tau_env, memory)
+        return (state, update(acc, interval, k, rest, p, MODEL)), None
 
-    first = (init(p, MODEL), empty(p))
+    first = (init(p, MODEL), empty(p, MODEL))
     (state, acc), _ = jax.lax.scan(body, first, jnp.arange(n_steps, dtype=jnp.int32))
-    return finish(acc, state.x, state.v, n_steps, p, dt)
+    return finish(acc, state.x, state.v, n_steps, tail, p, dt)

@@ -14,6 +14,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 # What may be rearranged without harm: not `reassoc`, which would undo the compensated sums, and
 # not `nnan` or `ninf`, since a run may leave the finite numbers.
 FASTMATH = {"contract", "arcp", "nsz"}
+LATEST = 1.0 - 0.05  # part of the run at which a torque may converge last
 
 
 def jit(function: F) -> F:
@@ -52,6 +53,7 @@ class Numbers(NamedTuple):
     four: Any
     six: Any
     band: Any
+    ulps: Any  # four units in the last place, relative
     inf: Any
 
 
@@ -113,21 +115,25 @@ def plus(total: Any, excess: Any, value: Any) -> Any:
 
 
 @jit
-def scenario(  # noqa: PLR0912, PLR0915  one loop, so that the state stays in registers
+def scenario(  # noqa: PLR0915  one loop, so that the state stays in registers
     p: Law, c: Numbers, n_steps: int, reals: np.ndarray, counts: np.ndarray
 ) -> None:
     """Simulate one scenario and write its metrics."""
-    h, h_2, h_6 = c.dt, c.half * c.dt, c.dt / c.six
+    h, h_2, h_6, sixth = c.dt, c.half * c.dt, c.dt / c.six, c.one / c.six
     x, v = p.x_init, p.v_init
     tau_env = interaction(x, v, p, c)
     x_h = expected = p.xd + p.Td / p.K0
     search, ticks_every = p.sigma / p.K0, max(round(p.period / c.dt), 1)
     T_n = math.copysign(min(abs(p.Td), p.Fmax), p.Td)
     per_T_n, per_I = c.one / T_n, c.one / p.I
-    e_M, near, far = c.zero, c.two * p.K0, c.two * p.K0
+    rest = c.ulps * (abs(expected) + abs(p.gap) + abs(p.x_init) + p.xb) * (h / p.period)
+    e_M, near, far = x_h - x, c.zero, c.zero
     countdown, diverging = 0, True
-    head = square = square_x = error = error_x = work = work_x = peak = top = c.zero
-    outside = before_touch = touched = switches = 0
+    head = square = square_x = error = error_x = work = work_x = c.zero
+    highest, apart = tau_env, tau_env * per_T_n - c.one
+    settled = c.zero if abs(apart) <= c.band else c.inf
+    touched = 0 if x >= p.gap else n_steps + 1
+    in_contact, switches, branch = 0, -1, -1  # the first branch differs from -1, which is none
     for k in range(n_steps):
         if k == n_steps // 2:
             head = square
@@ -139,8 +145,6 @@ def scenario(  # noqa: PLR0912, PLR0915  one loop, so that the state stays in re
         countdown -= 1
         e = x_h - x
         was, diverging = diverging, e * v <= c.zero
-        if was != diverging and k > 0:
-            switches += 1
         if diverging:
             e_M = e
         elif was:  # e_M is held from here on, and with it the slopes
@@ -149,46 +153,57 @@ def scenario(  # noqa: PLR0912, PLR0915  one loop, so that the state stays in re
                 near = c.four * energy(e_M, p, c) / (e_M * e_M)
                 far = c.two * spring(e_M, p) / e_M
         t1 = torque(e, diverging, e_M, near, far, p, c)
-        a1 = (t1 - tau_env) * per_I
+        e1, a1 = tau_env - p.Td, (t1 - tau_env) * per_I
         x2, v2 = x + h_2 * v, v + h_2 * a1
-        t2 = torque(x_h - x2, diverging, e_M, near, far, p, c)
-        a2 = (t2 - interaction(x2, v2, p, c)) * per_I
+        t2, tau_env = torque(x_h - x2, diverging, e_M, near, far, p, c), interaction(x2, v2, p, c)
+        e2, a2 = tau_env - p.Td, (t2 - tau_env) * per_I
         x3, v3 = x + h_2 * v2, v + h_2 * a2
-        t3 = torque(x_h - x3, diverging, e_M, near, far, p, c)
-        a3 = (t3 - interaction(x3, v3, p, c)) * per_I
+        t3, tau_env = torque(x_h - x3, diverging, e_M, near, far, p, c), interaction(x3, v3, p, c)
+        e3, a3 = tau_env - p.Td, (t3 - tau_env) * per_I
         x4, v4 = x + h * v3, v + h * a3
-        t4 = torque(x_h - x4, diverging, e_M, near, far, p, c)
-        a4 = (t4 - interaction(x4, v4, p, c)) * per_I
+        t4, tau_env = torque(x_h - x4, diverging, e_M, near, far, p, c), interaction(x4, v4, p, c)
+        e4, a4 = tau_env - p.Td, (t4 - tau_env) * per_I
+        # the integrals are states of the same step; error and square are means over it
         done = h_6 * (t1 * v + c.two * (t2 * v2 + t3 * v3) + t4 * v4)
+        work, work_x = plus(work, work_x, done)
+        error, error_x = plus(error, error_x, sixth * (e1 + c.two * (e2 + e3) + e4))
+        squares = e1 * e1 + c.two * (e2 * e2 + e3 * e3) + e4 * e4
+        square, square_x = plus(square, square_x, sixth * squares)
+        x_before = x
         x += h_6 * (v + c.two * (v2 + v3) + v4)
         v += h_6 * (a1 + c.two * (a2 + a3) + a4)
+        # the sample at the end of the step
         tau_env = interaction(x, v, p, c)
-        eps, ratio = (tau_env - p.Td) * per_T_n, tau_env * per_T_n
-        square, square_x = plus(square, square_x, eps * eps)
-        error, error_x = plus(error, error_x, eps)
-        work, work_x = plus(work, work_x, done)
-        if not abs(ratio - c.one) <= c.band:  # NaN counts as outside
-            outside = k + 1
-        if not abs(tau_env) <= peak:  # and as the peak, once and for all
-            peak = abs(tau_env)
-        if not ratio <= top:
-            top = ratio
+        before, apart = apart, tau_env * per_T_n - c.one
+        if not abs(apart) <= c.band:  # NaN counts as outside
+            settled = c.inf
+        elif settled == c.inf:  # on a line between the two samples
+            way = before - math.copysign(c.band, before)
+            settled = reals.dtype.type(k) + (way / (before - apart) if before != apart else way)
+        if tau_env > highest:  # noqa: PLR1730  passes over a NaN, as `larger` does
+            highest = tau_env
         if x >= p.gap:
-            touched += 1
-        elif touched == 0:
-            before_touch += 1
+            in_contact += 1
+            touched = min(touched, k + 1)  # the end of its step
+        # a joint that moves by less rests: its branch is the sign of rounding errors
+        if abs(x - x_before) > rest and branch != diverging:
+            branch = int(diverging)
+            switches += 1
     n_tail = n_steps - n_steps // 2
-    nmse = (head + square) / n_steps
+    per_square = per_T_n * per_T_n
+    nmse = (head + square) / n_steps * per_square
+    above = highest * per_T_n - c.one
+    lost = max(n_steps - touched - in_contact, 0)
     reals[0] = nmse
-    reals[1] = square / n_tail
-    reals[2] = reals.dtype.type(outside + 1) * h if outside < n_steps else c.inf
-    reals[3] = error / n_tail
-    reals[4] = peak
-    reals[5] = c.zero if top <= c.one else top - c.one
-    reals[6] = reals.dtype.type(before_touch + 1) * h if touched > 0 else c.inf
-    reals[7] = reals.dtype.type(n_steps - before_touch - touched) * h
+    reals[1] = square / n_tail * per_square
+    reals[2] = settled * h if settled <= LATEST * n_steps else c.inf
+    reals[3] = error / n_tail * per_T_n
+    reals[4] = highest
+    reals[5] = above if T_n > c.zero and above > c.zero else c.zero
+    reals[6] = reals.dtype.type(touched) * h if touched <= n_steps else c.inf
+    reals[7] = reals.dtype.type(lost) * h
     reals[8] = work
-    counts[0] = switches
+    counts[0] = max(switches, 0)
     finite = math.isfinite(x) and math.isfinite(v) and math.isfinite(nmse) and math.isfinite(work)
     counts[1] = 1 if finite else 0
 

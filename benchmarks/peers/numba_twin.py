@@ -16,7 +16,8 @@ def prepare(batch: Params, dt: float, n_steps: int, threads: int = 2) -> Callabl
 
     columns = np.ascontiguousarray(packed(batch).T)
     real = columns.dtype.type
-    constants = Numbers(*(real(a) for a in (dt, 0, 0.5, 1, 2, 4, 6, 0.05, np.inf)))
+    ulps = 4 * np.finfo(real).eps
+    constants = Numbers(*(real(a) for a in (dt, 0, 0.5, 1, 2, 4, 6, 0.05, ulps, np.inf)))
     n = len(columns)
     reals, counts = np.empty((n, len(REALS)), columns.dtype), np.empty((n, 2), np.int32)
     numba.set_num_threads(min(threads, numba.config.NUMBA_NUM_THREADS))

@@ -6,6 +6,7 @@
 //  - the exponential of eq. 1 only in a stage in which a lane needs it: it diverges between x0 and xb
 //    (one stage of eight lanes in twelve);
 //  - the slopes of Algorithm 1 only when a lane turns to converge;
+//  - the instant at which the torque enters the settling band only when a lane enters it;
 //  - the overshoot from the peak, since a hard stop never pulls.
 #include <algorithm>
 #include <cmath>
@@ -102,11 +103,6 @@ template <class V> INLINE V abs(V a) {
 template <class V> INLINE V with_sign_of(V s, V a) {
   return (V)((Mask<V>)a ^ ((Mask<V>)s & std::numeric_limits<typename Real<V>::Int>::min()));
 }
-// The greater of two numbers >= 0, as integers: a NaN without sign is greater than all and stays.
-template <class V> INLINE V greatest(V a, V b) {
-  const Mask<V> x = (Mask<V>)a, y = (Mask<V>)b;
-  return (V)(x > y ? x : y);
-}
 // 2^(y rate) for y rate <= 0; elsewhere garbage that no caller keeps.
 template <class V> INLINE V exp2(V y, V rate) {
   using R = Real<V>;
@@ -172,6 +168,8 @@ template <class V> struct Sum {  // Kahan 1965
 
 enum Field { K0, Fmax, x0, xb, S, Td, xd, sigma, period, I, Kenv, Denv, gap, x_init, v_init };
 constexpr int kReals = 9;  // metrics that are real numbers
+constexpr double kBand = 0.05;         // converged while |T/T_n - 1| is at most this
+constexpr double kLatest = 1.0 - 0.05;  // part of the run at which a torque may converge last
 
 template <class T> struct Job {
   const T* columns;  // [field][n]
@@ -207,31 +205,39 @@ template <class V, class T> void run_vector(const Job<T>& job, int64_t first) {
   const V span = load(period) / dt;
   M ticks_every;
   for (int w = 0; w < lanes; ++w) ticks_every[w] = std::max(Int(std::nearbyint(span[w])), Int(1));
+  // A joint that moves by less in a plant step rests: its branch is the sign of rounding errors.
+  const V rest = 4 * std::numeric_limits<T>::epsilon() *
+                 (abs(expected) + abs(load(gap)) + abs(load(x_init)) + spring.xb) *
+                 (dt / load(period));
+  const V never = V{} + std::numeric_limits<T>::infinity();
 
   V x = load(x_init), v = load(v_init), tau_env = plant.interaction(x, v), x_h = expected;
-  V e_M{}, near = 2 * spring.K0, far = near, peak{}, square_head{};
-  M countdown{}, diverging{}, outside{}, before_touch{}, touched{}, switches{};
+  V e_M = x_h - x, near{}, far{}, highest = tau_env, square_head{};
+  V apart = tau_env * per_T_n - 1, settled = select(abs(apart) <= T(kBand), V{}, never);
+  M countdown{}, diverging = M{} - 1;  // so that a first branch that converges computes its slopes
+  M branch = M{} + 1, switches = M{} - 1;  // the first branch differs from 1, which is none
+  M before_touch{}, touching_steps{};
+  const M touched_at_start = x >= plant.gap;
+  M untouched = ~touched_at_start;
   Sum<V> square, error, work;
 
-  const int ends[] = {1, job.n_steps / 2, job.n_steps};
-  for (int part = 0, k = 0; part < 3; ++part) {
-    if (part == 1) switches = M{};  // the first step has no branch to switch from
-    if (part == 2 && job.n_steps > 1) {
+  const int ends[] = {job.n_steps / 2, job.n_steps};
+  for (int part = 0, k = 0; part < 2; ++part) {
+    if (part == 1) {
       square_head = square.total;
       square = error = {};
     }
     for (; k < ends[part]; ++k) {
       // Algorithm 2
       const M ticks = countdown <= 0;
-      const V miss = wanted - tau_env;
-      const V target = select(abs(x) <= xd_size, expected, x_h + search * miss);
-      x_h = select(ticks & (miss != 0), target, x_h);
+      const V e1 = tau_env - wanted;
+      const V target = select(abs(x) <= xd_size, expected, x_h - search * e1);
+      x_h = select(ticks & (e1 != 0), target, x_h);
       countdown = select(ticks, ticks_every, countdown) - 1;
       // Algorithm 1
       const V e = x_h - x;
       const M before = diverging;
       diverging = e * v <= 0;
-      switches -= diverging ^ before;
       if (any(before & ~diverging)) spring.slopes(e_M, near, far);
       e_M = select(diverging, e, e_M);
       const Held<V> held = {x_h, select(diverging, spring.K0, near),
@@ -241,45 +247,59 @@ template <class V, class T> void run_vector(const Job<T>& job, int64_t first) {
       // the net torques are divided by I only where they move something: off the stages' chain
       const V t1 = held.torque(spring, x), f1 = t1 - tau_env;
       const V x2 = x + dt / 2 * v, v2 = v + half * f1, t2 = held.torque(spring, x2);
-      const V f2 = t2 - plant.interaction(x2, v2);
+      const V T2 = plant.interaction(x2, v2), f2 = t2 - T2, e2 = T2 - wanted;
       const V x3 = x2 + dt / 2 * half * f1, v3 = v + half * f2, t3 = held.torque(spring, x3);
-      const V f3 = t3 - plant.interaction(x3, v3);
+      const V T3 = plant.interaction(x3, v3), f3 = t3 - T3, e3 = T3 - wanted;
       const V x4 = x + dt * v + dt * half * f2, v4 = v + whole * f3, t4 = held.torque(spring, x4);
-      const V f4 = t4 - plant.interaction(x4, v4);
+      const V T4 = plant.interaction(x4, v4), f4 = t4 - T4, e4 = T4 - wanted;
+      // The integrals are states of the same step; error and square are means over it.
       work.add(dt / 6 * (t1 * v + t4 * v4 + 2 * (t2 * v2 + t3 * v3)));
-      x += dt * v + dt * sixth * (f1 + f2 + f3);
+      error.add(T(1) / 6 * (e1 + e4 + 2 * (e2 + e3)));
+      square.add(T(1) / 6 * (e1 * e1 + e4 * e4 + 2 * (e2 * e2 + e3 * e3)));
+      const V way = dt * v + dt * sixth * (f1 + f2 + f3), x1 = x;
+      x += way;
       v += sixth * (f1 + 2 * (f2 + f3) + f4);
-      // Metrics
+      // Metrics of the end of the step
       tau_env = plant.interaction(x, v);
-      const V eps = (tau_env - wanted) * per_T_n;
-      square.add(eps * eps);
-      error.add(eps);
-      const M settled = abs(tau_env * per_T_n - 1) <= T(0.05);
-      outside = select(settled, outside, M{} + (k + 1));
-      peak = greatest(peak, abs(tau_env));
+      const V last = apart;
+      apart = tau_env * per_T_n - 1;
+      const M inside = abs(apart) <= T(kBand), enters = inside & (settled == never);
+      if (any(enters)) {  // on a line between the two samples
+        const V rise = select(last == apart, V{} + 1, last - apart);
+        settled = select(enters, T(k) + (last - with_sign_of(last, V{} + T(kBand))) / rise, settled);
+      }
+      settled = select(inside, settled, never);
+      highest = greater(tau_env, highest);
       const M touching = x >= plant.gap;
-      before_touch -= ~touching & (touched == 0);
-      touched -= touching;
+      touching_steps -= touching;
+      untouched &= ~touching;
+      before_touch -= untouched;
+      const M current = select(abs(x - x1) > rest, diverging, branch);
+      switches -= current != branch;
+      branch = current;
     }
   }
 
-  const int n_tail = job.n_steps - job.n_steps / 2;
+  const int n = job.n_steps, n_tail = n - n / 2;
+  constexpr T inf = std::numeric_limits<T>::infinity();
+  const V per_square = per_T_n * per_T_n;
   for (int w = 0; w < lanes && first + w < job.n; ++w) {
-    const T nmse = (square_head[w] + square.total[w]) / job.n_steps;
-    const T above = T_n[w] > 0 ? peak[w] / T_n[w] - 1 : peak[w] * 0;  // * 0 keeps a NaN
+    const T nmse = (square_head[w] + square.total[w]) / n * per_square[w];
+    const Int touch = before_touch[w] + (touched_at_start[w] ? 0 : 1);  // the end of its step
+    const Int lost = n - touch - touching_steps[w];
     const T reals[kReals] = {
         nmse,
-        square.total[w] / n_tail,
-        outside[w] < job.n_steps ? T(outside[w] + 1) * dt : std::numeric_limits<T>::infinity(),
-        error.total[w] / n_tail,
-        peak[w],
-        above < 0 ? 0 : above,
-        touched[w] > 0 ? T(before_touch[w] + 1) * dt : std::numeric_limits<T>::infinity(),
-        T(job.n_steps - before_touch[w] - touched[w]) * dt,
+        square.total[w] / n_tail * per_square[w],
+        settled[w] <= T(kLatest * n) ? settled[w] * dt : inf,
+        error.total[w] / n_tail * per_T_n[w],
+        highest[w],
+        T_n[w] > 0 ? std::max(highest[w] * per_T_n[w] - 1, T(0)) : T(0),
+        touch <= n ? T(touch) * dt : inf,
+        touch <= n && lost > 0 ? T(lost) * dt : T(0),
         work.total[w],
     };
     for (int m = 0; m < kReals; ++m) job.reals[m * job.n + first + w] = reals[m];
-    job.switches[first + w] = int32_t(switches[w]);
+    job.switches[first + w] = int32_t(std::max(switches[w], Int(0)));
     job.finite[first + w] = std::isfinite(x[w]) && std::isfinite(v[w]) && std::isfinite(nmse) &&
                             std::isfinite(work.total[w]);
   }

@@ -6,11 +6,12 @@ import signal
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from benchmarks import measure, rates
 from benchmarks.fic_sweep import covered
-from benchmarks.implementations import IMPLEMENTATIONS
+from benchmarks.implementations import IMPLEMENTATIONS, RANGES, scenarios
 from benchmarks.plan import Plan
 from tests.command import FIC_SWEEP, call
 
@@ -98,18 +99,33 @@ class Clock:
 
 
 @pytest.mark.parametrize("peers", [True, False])
-def test_rates_compare_the_engine_with_each_implementation(monkeypatch, peers):
+def test_rates_compare_each_implementation_with_its_baseline(monkeypatch, peers):
     monkeypatch.setattr(rates, "Child", Clock)
     table = rates.rates(Plan(scenarios=800, steps=100, peers=peers), lambda line: None)
     rows = {row["kind"]: row for row in table.rows}
     assert set(rows) == set(IMPLEMENTATIONS) - (set() if peers else PEERS)
     assert rows["engine"]["million_steps_per_s"]["median"] == pytest.approx(100.0)
-    assert "engine_over_it" not in rows["engine"]
-    assert rows["events"]["engine_over_it"]["all"] == pytest.approx(5 * [1.0])
+    assert "baseline_over_it" not in rows["engine"]
+    assert rows["events"]["baseline_over_it"]["all"] == pytest.approx(5 * [1.0])
     assert rows["events"]["scenarios"] == 400
+    baselines = {kind: row["baseline"] for kind, row in rows.items() if kind != "engine"}
+    assert baselines.pop("grid_events") == "engine, grid"
+    assert baselines.pop("events_estimate") == "engine, rk4_events"
+    assert set(baselines.values()) == {"engine"}
     if peers:
-        assert rows["cpp"]["engine_over_it"]["median"] == pytest.approx(2.0)
-        assert rows["cpp"]["engine_over_it"]["target"] == "at least 0.9"
+        assert rows["cpp"]["baseline_over_it"]["median"] == pytest.approx(2.0)
+        assert rows["cpp"]["baseline_over_it"]["target"] == "at least 0.9"
+
+
+@pytest.mark.parametrize("n", [1, 64, 1000])
+def test_a_grid_has_neighbours_that_differ_in_one_axis(n):
+    grid = scenarios(n, "grid")
+    columns = np.stack([getattr(grid, name) for name in RANGES])
+    assert columns.shape == (4, n) and len(np.unique(columns, axis=1).T) == n
+    for column, (low, high) in zip(columns, RANGES.values(), strict=True):
+        assert column.min() == low and (n == 1 or column.max() == pytest.approx(high))
+    alike = columns[:3, 1:] == columns[:3, :-1]
+    assert n == 1 or alike.all(axis=0).mean() > 0.5
 
 
 def test_all_tables_unless_some_are_asked_for(monkeypatch):
