@@ -27,9 +27,10 @@ def welded(reading: Reading) -> pd.DataFrame:
 def worst_case(reading: Reading) -> pd.DataFrame:
     """`welded` beside the case named, K0 = 1 and Td = 1, at the same period.
 
-    Columns: its nmse (`named`), and with a tenth of sigma its nmse, if it is trusted, and tail
-    (`finer`, `finer_tail`), with five times sigma its nmse (`wider`), and without the first
-    reference xd + Td/K0, when the search begins at xd, its nmse (`without`).
+    Columns: its nmse (`named`), and with a tenth of sigma its nmse, if it is trusted, its nmse in
+    any case, and tail (`finer`, `finer_found`, `finer_tail`), with five times sigma its nmse
+    (`wider`), and without the first reference xd + Td/K0, when the search begins at xd, its nmse
+    (`without`).
     """
     return _worst_case(reading.simplest(scenarios("paper-welded")))
 
@@ -49,6 +50,7 @@ def _worst_case(reading: Reading) -> pd.DataFrame:
         named=at.map(named.nmse),
         named_trusted=at.map(named.nmse_trusted),
         finer=at.map(finer.nmse.where(finer.nmse_trusted)),
+        finer_found=at.map(finer.nmse),
         finer_tail=at.map(finer.nmse_tail),
         wider=at.map(wider.nmse),
         without=at.map(without["nmse"]),
