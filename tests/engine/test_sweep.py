@@ -14,7 +14,7 @@ from fic_jax import METRICS, Model, Params, ParamsError, evaluate, sweep
 from fic_jax.engine import arithmetic, sweeping
 from fic_jax.engine.xla import BLOCKS, LANES
 from fic_jax.lanes import Untranslatable
-from fic_jax.lanes.graph import Branch, live
+from fic_jax.lanes.graph import Branch, Loop, live
 from fic_jax.params import QUANTITIES
 from tests.engine.scenarios import DT, assert_same, pick, random_batch
 from tests.lanes.compiling import compiled_graph, loop_of
@@ -202,26 +202,20 @@ def compiled_scenario(model, n_steps=50):
 
 
 def test_the_default_law_computes_exponentials_in_branches_only():
-    """Six branches: slopes, the bend in each of RK4's four stages, the start of the tail."""
+    """Slopes, the bend in each of RK4's four stages, the start of the tail, the band's entry."""
     nodes = compiled_scenario(Model())
     loop = loop_of(nodes)
     branches = {n.of for n in nodes if isinstance(n.of, Branch) and n.of.outer is loop}
-    assert len(branches) == 6
+    assert len(branches) == 7
     assert not [n for n in nodes if n.op in ("exp", "div") and n.scope is loop]
 
 
-def test_the_second_segment_of_a_located_step_is_one_branch():
-    """It costs as much as a step: all its stages, over 200 operations, are in one branch."""
+def test_located_switches_compute_exponentials_and_roots_in_branches_only():
+    """In both loops: that of fixed length, and that of the scenarios that are not finished."""
     nodes = compiled_scenario(Model(integrator="rk4_events"))
-    loop = loop_of(nodes)
-    sizes = {}
-    for node in nodes:
-        scope = node.scope
-        while isinstance(scope, Branch) and scope.outer is not loop:
-            scope = scope.outer
-        if isinstance(scope, Branch):
-            sizes[scope] = sizes.get(scope, 0) + 1
-    assert max(sizes.values()) > 200
+    loops = {n.of for n in nodes if isinstance(n.of, Loop)}
+    assert len(loops) == 2
+    assert not [n for n in nodes if n.op in ("exp", "sqrt") and n.scope in loops]
 
 
 @pytest.mark.parametrize("error", [Untranslatable("the operation sin"), ImportError("llvmlite")])
