@@ -72,12 +72,13 @@ def rows(n: int, model: Model, dtype: Any) -> list[str]:
             return np.asarray(getattr(metrics, name), np.float64)
 
         scale = {"value": np.abs(of(truth)), "T_n": 1.0, "t_end": T_END}[TRUST[name].scale]
+        least_scale = 1.0 if name == "mode_switches" else 1e-12
         least = FLOOR[TRUST[name].scale] * np.maximum(scale, 1e-3)
         runs = np.asarray(found.finite & errors.finite & fine.finite & truth.finite)
         with np.errstate(invalid="ignore", divide="ignore"):
             error = _apart(of(found), of(truth))
             regular = runs & (_apart(of(truth), of(moved)) <= MOST * scale + 1e-12)
-            relative = error[regular] / np.broadcast_to(np.maximum(scale, 1e-12), n)[regular]
+            relative = error[regular] / np.broadcast_to(np.maximum(scale, least_scale), n)[regular]
             quantiles = np.quantile(relative, [0.5, 0.9, 0.99], method="lower")
             bound = np.asarray(
                 TRUST[name].error(np.where(np.isfinite(of(found)), of(found), 0.0), T_END)
