@@ -209,18 +209,23 @@ def _by_jax(
     devices: Sequence[jax.Device],
 ) -> Program:
     """XLA's program or Pallas' kernel."""
-    unroll = UNROLL if backend == "xla" else 1
-    one = scenario(model, n_steps, error_estimate, unroll)
+    in_kernel = backend == "pallas"
+    one = scenario(model, n_steps, error_estimate, 1 if in_kernel else UNROLL, in_kernel)
     if backend == "pallas" and devices[0].platform != "gpu":
         backend = "interpreted"
     return in_blocks(backend, one, len(QUANTITIES), result, dtype, devices)
 
 
-def scenario(model: Model, n_steps: int, error_estimate: bool, unroll: int = 1) -> Any:
-    """The function of one scenario, from its column of quantities and dt to its result."""
+def scenario(
+    model: Model, n_steps: int, error_estimate: bool, unroll: int = 1, by_steps: bool = False
+) -> Any:
+    """The function of one scenario, from its column of quantities and dt to its result.
+
+    `by_steps`: without a loop of unknown length, which a kernel of Pallas can't have for vectors.
+    """
 
     def run(p: Params, model: Model, dt: jax.Array, n_steps: int, **companion: Any) -> Run:
-        if model.integrator == "rk4":
+        if by_steps or model.integrator == "rk4":
             return run_by_steps(p, model, dt, n_steps, **companion, unroll=unroll)
         return run_by_intervals(p, model, dt, n_steps, **companion)
 
