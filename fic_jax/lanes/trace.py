@@ -95,7 +95,9 @@ def looped(graph: Graph, eqn: Any, args: list[Node], outer: Scope | None) -> lis
         raise Untranslatable("a scan over arrays")
     if not 0 < params["length"] < 2**31:
         raise Untranslatable(f"a loop of {params['length']} iterations")
-    consts, inits = args[: params["num_consts"]], args[params["num_consts"] :]
+    # without arrays, all outputs are carried; how JAX stores the number of constants has changed
+    n_consts = len(args) - len(eqn.outvars)
+    consts, inits = args[:n_consts], args[n_consts:]
 
     def write(loop: Loop) -> None:
         loop.length = params["length"]
