@@ -19,7 +19,7 @@ from fic_jax.controller import peak_error_after, torque
 from fic_jax.environment import interaction_torque
 from fic_jax.exploration import explore
 from fic_jax.metrics import reachable
-from fic_jax.piece import Piece, enter, outward_sign
+from fic_jax.piece import Piece, enter, law_at
 from fic_jax.simulation import decide
 from tests.reference import motion
 
@@ -138,9 +138,7 @@ def _along(t: Any, y: Any, args: Any) -> Any:
     """z', u' and (T - Td)^2 along a piece, all of them in the direction of the motion."""
     p, a, _ = args
     z, u, _ = y
-    b, sign = (p.xb - p.x0) / p.S, outward_sign(a)
-    bend = sign * b * a.stiffness * jnp.expm1(-sign * z / b)
-    tau = a.torque + jnp.where(a.bends, bend, -a.stiffness * z)
+    tau, _, _ = law_at(p, a, z)
     tau_env = a.tau_env + a.Kenv * z + a.Denv * (u - a.u)
     return u, (tau - tau_env) / p.I, (tau_env - a.s * p.Td) ** 2
 

@@ -1,4 +1,4 @@
-"""The motion from switch to switch: RK4 with its switches located inside the plant step.
+"""The motion from switch to switch: `rk4_events`, with switches located inside the plant step.
 
 The law switches at v = 0, e = 0, |e| = x0, |e| = xb and where the torque meets its limit, the
 environment at x = gap. A piece of the closed loop (piece.py) ends where its path crosses to the
@@ -18,7 +18,7 @@ from fic_jax.piece import (
     Path,
     Piece,
     enter,
-    outward_sign,
+    law_at,
     path_of,
     swept,
     whole,
@@ -114,7 +114,7 @@ def along(
     (Hermite's quadrature), and an extreme between the ends is that of a parabola.
     """
     z, u, h = end.z, end.u, end.part * path.h
-    tau, stiffness, work = _law_at(p, a, z)
+    tau, stiffness, work = law_at(p, a, z)
     tau_env = a.tau_env + a.Kenv * z + a.Denv * (u - a.u)
     # derivatives with the piece's duration as unit of time
     Kh, per_I = a.Kenv * h, h * (1.0 / p.I)
@@ -161,21 +161,6 @@ def along(
         since=passed,
         way=z,
     )
-
-
-def _law_at(p: Params, a: Piece, z: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """s tau and its stiffness after the way z, and the work done."""
-
-    def bend() -> tuple[Scalar, Scalar, Scalar]:
-        b = (p.xb - p.x0) / p.S
-        sign, w = outward_sign(a), b * a.stiffness
-        way = jnp.where(a.bends, z, 0.0)  # elsewhere the exponential may overflow
-        w1 = w * jnp.exp(-sign * way / b)
-        return a.torque + sign * (w1 - w), w1 / b, (a.torque - sign * w) * z + b * (w - w1)
-
-    tau = a.torque - a.stiffness * z
-    affine = tau, a.stiffness, z * (0.5 * (a.torque + tau))
-    return where_rare(a.bends, bend, affine)
 
 
 def arrival(p: Params, a: Piece, path: Path, fast: Scalar, model: Model) -> Arrival:

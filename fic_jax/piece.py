@@ -23,7 +23,8 @@ from fic_jax.exploration import expected_reference
 from fic_jax.lanes.hints import where_rare
 from fic_jax.params import Model, Params, Scalar
 
-# Terms of the speed's series. Four are RK4; with six the path is as exact as the integrals over it.
+# Terms of the speed's series. Four are RK4. At 10 ms the median error of nmse is 2.3e-6 with four,
+# 1.3e-7 with five and 3.7e-8 with six, which take 0.05 of rk4's time more.
 ORDER = 5
 # rad/s: the speed that decides for a joint at rest, large enough that e v does not underflow.
 SLOWEST = 1e-15
@@ -167,10 +168,27 @@ def _series(d: tuple[Scalar, ...], t: Scalar, first: int) -> Scalar:
     return total
 
 
-def outward_sign(a: Piece) -> Scalar:
-    """1 where |e| grows along the piece, else -1."""
-    one = jnp.ones_like(a.x)
-    return jnp.where(a.outwards, one, -one)
+def _bend(p: Params, a: Piece) -> tuple[Scalar, Scalar, Scalar]:
+    """The bend's length b (rad); 1 where |e| grows, else -1; and w (N*m) at the start of a piece.
+
+    w = dF exp(-(|e| - x0)/b) is what the profile is short of Fmax; its slope is w/b.
+    """
+    b, one = (p.xb - p.x0) / p.S, jnp.ones_like(a.x)
+    return b, jnp.where(a.outwards, one, -one), b * a.stiffness
+
+
+def law_at(p: Params, a: Piece, z: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """s tau (N*m) and its stiffness (N*m/rad) after the way z (rad), and the work done (J)."""
+
+    def on_bend() -> tuple[Scalar, Scalar, Scalar]:
+        b, sign, w = _bend(p, a)
+        way = jnp.where(a.bends, z, 0.0)  # elsewhere the exponential may overflow
+        w1 = w * jnp.exp(-sign * way / b)
+        return a.torque + sign * (w1 - w), w1 / b, (a.torque - sign * w) * z + b * (w - w1)
+
+    tau = a.torque - a.stiffness * z
+    affine = tau, a.stiffness, z * (0.5 * (a.torque + tau))
+    return where_rare(a.bends, on_bend, affine)
 
 
 def affine(p: Params, a: Piece, h: Scalar) -> Path:
@@ -185,8 +203,7 @@ def affine(p: Params, a: Piece, h: Scalar) -> Path:
 
 def bent(p: Params, a: Piece, h: Scalar, fast: Scalar) -> Path:
     """The path on the bend, where the torque has a part w with w' = -+w u/b; none if `fast`."""
-    b = (p.xb - p.x0) / p.S
-    sign, w = outward_sign(a), b * a.stiffness
+    b, sign, w = _bend(p, a)
     per_I, rate = h * (1.0 / p.I), sign * h / b
     w, start = jnp.where(fast, 0.0, w), jnp.where(fast, a.torque - sign * w, a.torque)
     K, D = h * per_I * a.Kenv, per_I * a.Denv
@@ -239,9 +256,9 @@ def swept(p: Params, a: Piece, path: Path, fast: Scalar, to: Scalar) -> Arrival:
     The bend takes its energy b (w - w1) at once, while the speed hardly changes: so z is the
     independent variable of an RK4 step for the other torques' work and for the time.
     """
-    b = (p.xb - p.x0) / p.S
+    b, sign, w = _bend(p, a)
     # of another piece, numbers that make no infinite gradient
-    sign, w = outward_sign(a), jnp.where(fast, b * a.stiffness, 0.0)
+    w = jnp.where(fast, w, 0.0)
     start, guess = jnp.where(fast, a.u, 1.0), jnp.where(fast, path.way(), 0.0)
     reaches = guess >= to
     z = jnp.where(reaches & fast, to, guess)

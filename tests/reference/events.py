@@ -73,7 +73,7 @@ class Line:
 
 
 class Observer(Protocol):
-    """What is told about the motion while it goes on; times in s."""
+    """The metrics of the motion so far; times in s."""
 
     def enter(self, t: float, cell: Cell) -> None:
         """At time t the motion goes on in this cell."""
