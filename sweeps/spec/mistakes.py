@@ -6,8 +6,20 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
+from fic_jax import QUANTITIES
 from sweeps.spec.types import RandomDesign, Range, Record, SpacedRange, Sweep, Time
 
+OTHER_WORDS = {  # key -> what it is called elsewhere; the words of its meaning are known besides
+    "period": ("rate", "frequency", "hz", "sampling", "sample_time", "ts"),
+    "I": ("mass", "m", "j"),
+    "Denv": ("b", "d", "viscosity"),
+    "gap": ("wall", "distance", "clearance", "x_env", "xenv"),
+    "Td": ("fd", "force", "reference", "setpoint"),
+    "Fmax": ("tmax", "limit"),
+    "dt": ("step", "timestep", "time_step", "step_size", "h"),
+    "t_end": ("duration", "time", "tmax", "tend", "t"),
+    "precision": ("bits", "dtype", "float"),
+}
 MAX_QUOTED = 300  # characters of foreign text in a message
 
 
@@ -22,11 +34,31 @@ def printable(text: str) -> str:
 
 
 def hint(word: str, known: Iterable[str]) -> str:
-    """'; did you mean `x`?' if `word` resembles a known word, else all the known words."""
+    """'; did you mean `x`?' if `word` resembles or describes known words, else all known words."""
     names = list(known)
-    lower = {name.lower(): name for name in names}
-    near = difflib.get_close_matches(word.lower(), lower, n=1, cutoff=0.5)
-    return f"; did you mean `{lower[near[0]]}`?" if near else "; known are " + ", ".join(names)
+    lower, given = {name.lower(): name for name in names}, word.lower()
+    described = [name for name in names if given in _descriptions(name)]
+    near = difflib.get_close_matches(given, lower, n=1, cutoff=0.5)
+    if given in lower:
+        meant = [lower[given]]
+    else:
+        meant = described or [lower[name] for name in near]
+    if not meant:
+        return "; known are " + ", ".join(names)
+    return "; did you mean " + " or ".join(f"`{name}`{_meaning(name)}" for name in meant) + "?"
+
+
+def _descriptions(name: str) -> list[str]:
+    """Words by which somebody may call a key."""
+    meaning = QUANTITIES[name]["meaning"] if name in QUANTITIES else ""
+    return [*meaning.lower().split(), *OTHER_WORDS.get(name, ())]
+
+
+def _meaning(name: str) -> str:
+    """Meaning and unit of a field, in parentheses."""
+    if name not in QUANTITIES:
+        return ""
+    return f" ({QUANTITIES[name]['meaning']}, in {QUANTITIES[name]['unit']})"
 
 
 def explain_toml(message: str, text: str) -> str:

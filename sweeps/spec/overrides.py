@@ -1,6 +1,8 @@
 """`--set KEY=VALUE`: a change of a sweep file's plain record before it is checked."""
 
+import re
 import tomllib
+from collections.abc import Iterable
 from typing import Any
 
 from fic_jax import CHOICES, QUANTITIES
@@ -11,34 +13,69 @@ from sweeps.spec.types import Time
 TOP_LEVEL = ("name", "description", "metrics", "error_estimate", "precision")
 
 
+def override_all(raw: dict[str, Any], texts: Iterable[str]) -> None:
+    """Apply each `--set KEY=VALUE` to `raw`. Raises SweepError for a mistake, or a key set twice."""
+    seen: set[str] = set()
+    for text in texts:
+        override(raw, text)
+        key = text.partition("=")[0].strip()
+        if key in seen:
+            raise SweepError(
+                f"--set {printable(text)}: `{key}` is set twice; which value is meant?"
+            )
+        seen.add(key)
+
+
 def override(raw: dict[str, Any], text: str) -> None:
     """Apply `--set KEY=VALUE` to `raw`.
 
     KEY is a field of Params, a choice of Model or another key of the file, without its table.
-    VALUE is TOML; a bare word is a text. A field of Params becomes a constant if VALUE is a number
+    VALUE is TOML, or a number as Python writes it; a bare word is a text. A field of Params becomes a constant if VALUE is a number
     and an axis if it is a list or a range; any former value of the field is removed.
 
     Raises SweepError if `text` is no KEY=VALUE or KEY is unknown.
     """
-    key, equals, value = text.partition("=")
-    key = key.strip()
+    key, equals, value = (part.strip() for part in text.partition("="))
     if not equals or not key:
         raise SweepError(f"--set {printable(text)}: must be KEY=VALUE, as in --set K0=10")
-    try:
-        parsed = tomllib.loads(f"value = {value}")["value"]
-    except (ValueError, RecursionError):
-        parsed = value.strip()
+    parsed = _value(value)
     tables = dict.fromkeys(Time.model_fields, "time") | dict.fromkeys(CHOICES, "model")
     tables |= dict.fromkeys(("n", "method", "seed"), "sample")
     if key in QUANTITIES:
+        if isinstance(parsed, str):
+            raise SweepError(f"--set {printable(text)}: {_syntax(key, value)}")
         _move(raw, key, parsed)
     elif key in tables:
         _put(raw, tables[key], key, parsed)
     elif key in TOP_LEVEL:
         raw[key] = parsed
     else:
-        advice = hint(key, [*QUANTITIES, *tables, *TOP_LEVEL])
+        advice = hint(key.rpartition(".")[2], [*QUANTITIES, *tables, *TOP_LEVEL])
         raise SweepError(f"--set {printable(text)}: unknown key `{printable(key)}`{advice}")
+
+
+def _value(text: str) -> Any:
+    """A value in TOML, or with numbers as Python writes them (`1.`, `.5`); any other is a text."""
+    python = _BARE_POINT.sub(lambda m: f"{m[1] or 0}.{m[2] or 0}", text)
+    for form in (text, python):
+        try:
+            return tomllib.loads(f"value = {form}")["value"]
+        except (ValueError, RecursionError):
+            pass
+    return text
+
+
+_BARE_POINT = re.compile(r"(?<![\w.])(?:(\d+)\.(?![\d.])|\.(\d+))")
+
+
+def _syntax(key: str, value: str) -> str:
+    """How a field is given a number, a list or a range; with the two numbers that `value` has."""
+    numbers = re.findall(r"\d+(?:\.\d+)?(?:[eE][+-]?\d+)?|(?<!\.)\.\d+", value)
+    ends = f"[{', '.join(numbers)}]" if len(numbers) == 2 else "[1, 100]"
+    forms = [f"--set '{key}={form}'" for form in (ends, f"{{ lin = {ends}, n = 16 }}")]
+    return (
+        f"`{key}` must be a number, a list or a range (lin or log), as in {forms[0]} or {forms[1]}"
+    )
 
 
 def _move(raw: dict[str, Any], name: str, value: Any) -> None:

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from sweeps.spec import rules
 from sweeps.spec.mistakes import SweepError, explain, explain_toml, printable
-from sweeps.spec.overrides import override
+from sweeps.spec.overrides import override_all
 from sweeps.spec.types import Sweep
 
 MAX_FILE = 1_000_000  # bytes: the TOML reader takes 4 s for a list that long
@@ -49,8 +49,7 @@ def parse(text: str, source: str, overrides: tuple[str, ...] = ()) -> Sweep:
         raise SweepError(f"{source}: not valid TOML: nested too deeply") from None
     except ValueError:  # Python converts at most 4300 digits
         raise SweepError(f"{source}: not valid TOML: a number of thousands of digits") from None
-    for assignment in overrides:
-        override(raw, assignment)
+    override_all(raw, overrides)
     return validate(raw, source)
 
 
@@ -58,16 +57,49 @@ def validate(raw: dict[str, Any], source: str) -> Sweep:
     """Check a plain record. Raises SweepError; each line begins with `source`."""
     if _more_keys_than(raw, MAX_KEYS):
         raise SweepError(f"{source}: must have at most {MAX_KEYS:,} keys, but has more.")
-    try:
-        sweep = Sweep.model_validate(raw)
-    except ValidationError as errors:
-        raise _mistakes(source, [explain(error) for error in errors.errors()]) from None
-    # stop at the first stage with a mistake: the values of an unknown field can't be checked
-    for stage in (rules.unknown_names, rules.placement, rules.time_grid, rules.out_of_bounds):
-        lines = list(stage(sweep))
-        if lines:
-            raise _mistakes(source, lines)
+    sweep, lines = _without_wrong_entries(raw)
+    if sweep:
+        lines += rules.unknown_names(sweep)
+        known = rules.known_names(sweep)
+        for stage in (rules.placement, rules.time_grid, rules.fields_out_of_bounds):
+            lines += stage(known)
+        if not lines:  # otherwise these could follow from another mistake
+            lines += [*rules.nothing_swept(sweep), *rules.pairs_out_of_bounds(sweep)]
+    if lines or not sweep:
+        raise _mistakes(source, lines)
     return sweep
+
+
+def _without_wrong_entries(raw: dict[str, Any]) -> tuple[Sweep | None, list[str]]:
+    """The record as a Sweep without its wrong entries, and a line for each of these.
+
+    None instead of the Sweep if what is left is none.
+    """
+    try:
+        return Sweep.model_validate(raw), []
+    except ValidationError as errors:
+        wrong = errors.errors()
+    rest = {key: dict(table) if isinstance(table, dict) else table for key, table in raw.items()}
+    for error in wrong:
+        _remove(rest, [str(part) for part in error["loc"]])
+    try:
+        sweep = Sweep.model_validate({"name": "unnamed"} | rest)
+    except ValidationError:
+        sweep = None
+    return sweep, [explain(error) for error in wrong]
+
+
+def _remove(record: dict[str, Any], place: list[str]) -> None:
+    """Remove the entry at a place of a record, and what can't be checked without it."""
+    table = record.get(place[0])
+    if place[0] == "sample" or len(place) < 2 or not isinstance(table, dict):
+        record.pop(place[0], None)
+        return
+    table.pop(place[1], None)
+    if place[0] == "time":  # a period is compared with dt
+        for other in ("constants", "axes", "cases"):
+            if isinstance(record.get(other), dict):
+                record[other].pop("period", None)
 
 
 def _mistakes(source: str, lines: list[str]) -> SweepError:

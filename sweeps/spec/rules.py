@@ -1,7 +1,7 @@
 """Checks of a Sweep that need more than one key; each yields a line for each mistake."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from typing import Any, cast
 
 import numpy as np
@@ -18,6 +18,8 @@ from sweeps.spec.types import (
     SpacedRange,
     Sweep,
 )
+
+TABLES = ("constants", "axes", "cases")
 
 
 def unknown_names(sweep: Sweep) -> Iterator[str]:
@@ -45,6 +47,19 @@ def unknown_names(sweep: Sweep) -> Iterator[str]:
         yield f"`metrics` must be different from each other, but is {sweep.metrics}."
 
 
+def known_names(sweep: Sweep) -> Sweep:
+    """The sweep without the names that `unknown_names` finds."""
+
+    def known(table: dict[str, Any], names: Container[str]) -> dict[str, Any]:
+        return {name: value for name, value in table.items() if name in names}
+
+    tables = {name: known(getattr(sweep, name), QUANTITIES) for name in TABLES}
+    if sweep.sample:
+        ranges = known(sweep.sample.ranges, QUANTITIES)
+        tables["sample"] = sweep.sample.model_copy(update={"ranges": ranges})
+    return sweep.model_copy(update=tables | {"model": known(sweep.model, CHOICES)})
+
+
 def placement(sweep: Sweep) -> Iterator[str]:
     """Each field in one table; axes or a sample, not both; equally long cases; sizes in limits."""
     if sweep.sample and sweep.axes:
@@ -61,8 +76,6 @@ def placement(sweep: Sweep) -> Iterator[str]:
     for name, axis in sweep.axes.items():
         if not (axis.distinct if isinstance(axis, SpacedRange) else len(set(axis)) == len(axis)):
             yield f"`axes.{name}` must be values that differ, but some are given twice."
-    if not sweep.dims:
-        yield "`axes` must name at least one quantity to sweep, but is empty."
     if sweep.sample and "period" in sweep.sample.ranges:
         yield "`sample.ranges.period` must be an axis or a case: it is a multiple of dt."
     yield from _sizes(sweep)
@@ -80,6 +93,12 @@ def _sizes(sweep: Sweep) -> Iterator[str]:
         yield f"`axes.period.n` must be at most {MAX_PERIODS:,}, but is {period.n}."
 
 
+def nothing_swept(sweep: Sweep) -> Iterator[str]:
+    """At least one dimension."""
+    if not sweep.dims:
+        yield "`axes` must name at least one quantity to sweep, but is empty."
+
+
 def time_grid(sweep: Sweep) -> Iterator[str]:
     """`t_end` must be a whole number of steps, at most MAX_STEPS."""
     dt, t_end = sweep.time.dt, sweep.time.t_end
@@ -87,28 +106,34 @@ def time_grid(sweep: Sweep) -> Iterator[str]:
     if steps > MAX_STEPS:
         yield f"`time.t_end` must be at most {MAX_STEPS:,} steps of dt, but dt is {dt:g} s."
     elif abs(steps - round(steps)) > 1e-6 * steps or round(steps) < 1:
-        near = max(round(steps), 1) * dt
-        wanted = f"a whole multiple of dt = {dt:g} s (nearest: {near:g})"
+        near = f"{max(round(steps), 1) * dt:.12g}"
+        wanted = f"a whole multiple of dt = {dt:g} s (nearest: {near})"
         yield f"`time.t_end` must be {wanted}, but is {t_end:g}."
 
 
 def out_of_bounds(sweep: Sweep, dtype: str = "float64") -> Iterator[str]:
-    """Values that break a bound of fic_jax after rounding to `dtype`: of one field, or xb > x0."""
-    tables, good = sweep.values_to_check(), True
-    for table, fields in tables.items():
+    """Values that break a bound of fic_jax after rounding to `dtype`."""
+    lines = list(fields_out_of_bounds(sweep, dtype))
+    return iter(lines or pairs_out_of_bounds(sweep, dtype))
+
+
+def fields_out_of_bounds(sweep: Sweep, dtype: str = "float64") -> Iterator[str]:
+    """Values that break a bound of their own field."""
+    for table, fields in sweep.values_to_check().items():
         for name, values in fields.items():
             try:
                 check_field(name, _cast(values, dtype), sweep.time.dt)
             except ParamsError as error:
-                good = False
                 yield f"`{table}.{name}` must be {error.wanted}, but is {error.value}."
-    if not good:
-        return
+
+
+def pairs_out_of_bounds(sweep: Sweep, dtype: str = "float64") -> Iterator[str]:
+    """Values that break a bound which another field sets: xb > x0."""
     extremes = Params(**{k: _cast(v, dtype) for k, v in vars(sweep.extremes()).items()})
     try:
         check(extremes, sweep.time.dt)
     except ParamsError as error:
-        given = any(error.key in fields for fields in tables.values())
+        given = any(error.key in fields for fields in sweep.values_to_check().values())
         default = "" if given else " (the default)"
         yield f"`{error.key}` must be {error.wanted}, but is {error.value}{default}."
 

@@ -14,7 +14,7 @@ from pydantic import (
     model_validator,
 )
 
-from fic_jax import METRICS, Params
+from fic_jax import CHOICES, METRICS, Model, Params
 
 MAX_AXIS = 10_000_000  # values of one axis: memory holds them all, but never the grid
 MAX_PERIODS = 1_000_000  # values of a `period` axis: each is compared with dt
@@ -22,6 +22,8 @@ MAX_CASES = 10_000  # rows of [cases]: a person writes them
 MAX_CELLS = 10**12  # scenarios of a sweep: each float32 variable then takes 4 TB
 MAX_NAMES = 100  # metrics or choices in a list: fic_jax has fewer
 MAX_STEPS = 100_000_000  # plant steps: the engine counts them in int32
+ROUNDING = 4 * float(np.finfo(float).eps)  # relative: values closer than this are one value
+DIGITS = 12  # most digits of a decimal that a person writes
 # Fields that share a check with another field: xb > x0, K0 x0 > Fmax, the stiffest scenario.
 COUPLED = ("K0", "Fmax", "x0", "xb", "S", "I", "Kenv", "Denv")
 STORED = tuple(name for name in METRICS if name != "finite")  # the store has `status` instead
@@ -60,13 +62,24 @@ class Range(Record):
         return cast(tuple[float, float], self.log or self.lin)
 
     def at(self, fraction: np.ndarray) -> np.ndarray:
-        """Values at fractions 0..1 of the range, on its scale; 0 and 1 give the exact ends."""
-        a, b = self.ends
+        """Values at fractions 0..1 of the range, on its scale; 0 and 1 give the exact ends.
+
+        Computed in extended precision, then rounded: numpy's float64 `exp` and `log` differ in the
+        last bit between processors, and a value must not depend on the other values of its range.
+        """
+        a, b = np.array(self.ends, np.longdouble)
         if self.lin:
             inside = a + (b - a) * fraction
         else:
             inside = np.exp(np.log(a) + (np.log(b) - np.log(a)) * fraction)
-        return np.where(fraction == 0.0, a, np.where(fraction == 1.0, b, inside))
+        first, last = self.ends
+        inside = inside.astype(np.float64)
+        return np.where(fraction == 0.0, first, np.where(fraction == 1.0, last, inside))
+
+    def rounding(self, values: np.ndarray) -> np.ndarray:
+        """How far each value may be from the decimal that its author means: a few roundings."""
+        largest = np.abs(values) if self.log else max(map(abs, self.ends))
+        return np.broadcast_to(ROUNDING * largest, np.shape(values))
 
 
 class SpacedRange(Range):
@@ -75,9 +88,15 @@ class SpacedRange(Range):
     n: Count
 
     def values(self, part: slice = slice(None)) -> np.ndarray:
-        """The values at the indices `part`; a value does not depend on `part`."""
+        """The values at the indices `part`; a value does not depend on `part`.
+
+        A value that is a short decimal to rounding, as 0.3 on a range from 0 to 1, is that decimal.
+        """
         start, stop, _ = part.indices(self.n)
-        return self.at(np.arange(start, stop) / (self.n - 1))
+        values = self.at(np.arange(start, stop, dtype=np.longdouble) / (self.n - 1))
+        inside = slice(max(1 - start, 0), max(self.n - 1 - start, 0))  # the ends are as given
+        values[inside] = _short_decimals(values[inside], self.rounding(values[inside]))
+        return values
 
     @property
     def outermost(self) -> np.ndarray:
@@ -94,7 +113,21 @@ class SpacedRange(Range):
         """Whether neighbouring values differ by more than their rounding."""
         a, b = np.log(self.ends) if self.log else np.array(self.ends)
         size = max(abs(a), abs(b)) + (1 if self.log else 0)
-        return bool(abs(b - a) / (self.n - 1) > 4 * np.finfo(float).eps * size)
+        return bool(abs(b - a) / (self.n - 1) > 4 * ROUNDING * size)
+
+
+def _short_decimals(values: np.ndarray, rounding: np.ndarray) -> np.ndarray:
+    """The values; those within `rounding` of a number of few digits are replaced by that number."""
+    with np.errstate(all="ignore"):  # the rounding of zero has no logarithm: it stays zero
+        places = np.floor(np.log10(ROUNDING / rounding)).astype(int) + DIGITS
+    inexact = np.abs(places) > 22  # larger powers of ten are not exact in float64
+    power = 10.0 ** np.abs(np.where(inexact, 0, places))
+    with np.errstate(over="ignore", invalid="ignore"):
+        decimal = np.where(
+            places >= 0, np.rint(values * power) / power, np.rint(values / power) * power
+        )
+        short = ~inexact & (np.abs(decimal - values) <= rounding)
+    return np.where(short, decimal + 0.0, values)  # no negative zero
 
 
 # fail_fast: a list of a million wrong values gives one mistake, not a million.
@@ -164,10 +197,34 @@ class Sweep(Record):
             dims["scenario"] = self.sample.n
         return dims
 
+    def held(self) -> dict[str, float | str]:
+        """Fields and choices that do not vary, with their values; defaults are among them."""
+        swept = {*self.axes, *self.cases, *(self.sample.ranges if self.sample else ())}
+        fields = {n: v for n, v in (vars(Params()) | self.constants).items() if n not in swept}
+        choices = {name: getattr(Model(), name) for name in CHOICES} | self.model
+        return fields | {n: c for n, c in choices.items() if isinstance(c, str)}
+
+    def defaults(self) -> list[str]:
+        """Those of `held` that the file does not name."""
+        return [name for name in self.held() if name not in {*self.constants, *self.model}]
+
     def axis_values(self, name: str, part: slice = slice(None)) -> np.ndarray:
         """Values of an axis at the indices `part`."""
         axis = self.axes[name]
         return axis.values(part) if isinstance(axis, SpacedRange) else np.array(axis[part])
+
+    def field_values(self, name: str) -> np.ndarray:
+        """All values of a field of Params that no range is drawn from; its default, if not named."""
+        if name in self.axes:
+            return self.axis_values(name)
+        if name in self.cases:
+            return np.array(self.cases[name])
+        return np.array([self.constants.get(name, getattr(Params(), name))])
+
+    def rounding(self, name: str, values: np.ndarray) -> np.ndarray:
+        """How far each value of a field may be from the one that is meant."""
+        axis = self.axes.get(name)
+        return axis.rounding(values) if isinstance(axis, Range) else ROUNDING * np.abs(values)
 
     def record(self) -> str:
         """The sweep as JSON. A store keeps this text and compares sweeps by it.
@@ -192,6 +249,13 @@ class Sweep(Record):
         if isinstance(axis, list) or (name == "period" and axis.n <= MAX_PERIODS):
             return self.axis_values(name)  # any single period may be no multiple of dt
         return axis.outermost
+
+    def outermost(self, name: str) -> np.ndarray:
+        """Values of a field, the smallest and the largest among them; its default, if not named."""
+        for fields in self.values_to_check().values():
+            if name in fields:
+                return fields[name]
+        return np.array([getattr(Params(), name)])
 
     def extremes(self) -> Params:
         """Params [N]: each case with each combination of the axes' smallest and largest values.

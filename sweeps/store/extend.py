@@ -1,7 +1,8 @@
 """Copy a store into a larger one: more values, axes, choices or scenarios, and no number changed.
 
-First `_differences` and `_losses` compare the two plans. `_places` then maps each dimension of the
-larger plan to places in the store, and `_gather` copies the cells of each block.
+First `_settled` gives the larger plan the store's values where the two differ by rounding alone, and
+`_differences` and `_losses` compare the two plans. `_places` then maps each dimension of the larger
+plan to places in the store, and `_gather` copies the cells of each block.
 """
 
 import os
@@ -9,11 +10,10 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from fic_jax import CHOICES, Model, Params
+from fic_jax import QUANTITIES
 from sweeps.plan.grid import Grid, shape_of
 from sweeps.spec.mistakes import SweepError
 from sweeps.spec.types import Sweep
@@ -30,6 +30,8 @@ from sweeps.store.format import DIVERGED, OK, attributes
 from sweeps.store.ledger import DONE, PARTLY, Row, intact
 from sweeps.store.opening import Store, open_store
 
+LONGEST_LIST = 100_000  # values of an axis that becomes a list: a store's record must stay small
+
 
 def extend(store: Store, plan: Sweep, source: str) -> Store:
     """The store as the beginning of a larger sweep, with every number it has, bit for bit.
@@ -37,6 +39,7 @@ def extend(store: Store, plan: Sweep, source: str) -> Store:
     The larger store is built beside it, and takes its name once all of it is on the disk. Raises
     SweepError, with a line for each reason, if `plan` (from the file `source`) is not larger.
     """
+    plan = _settled(store.grid.sweep, plan)
     problems = list(_differences(store, plan))
     grid = Grid(plan, store.grid.chunk)
     if not problems:
@@ -76,6 +79,39 @@ def recover(path: Path) -> None:
         before.rename(path)
 
 
+def _settled(old: Sweep, new: Sweep) -> Sweep:
+    """The larger sweep, with the store's value for each value that equals it to rounding.
+
+    Two ranges that share a value may compute it with different last bits. The cells of the store
+    were run at the store's value, so an axis with another last bit becomes a list.
+    """
+    drawn = {*(old.sample.ranges if old.sample else ()), *(new.sample.ranges if new.sample else ())}
+    constants, axes, cases = dict(new.constants), dict(new.axes), dict(new.cases)
+    for name in QUANTITIES.keys() - drawn:
+        known, given = (sweep.field_values(name) for sweep in (old, new))
+        rounding = np.maximum(new.rounding(name, given), old.rounding(name, given))
+        settled = _nearest(known, given, rounding)
+        if (settled == given).all() or len(settled) > LONGEST_LIST:
+            continue
+        if name in axes:
+            axes[name] = settled.tolist()
+        elif name in cases:
+            cases[name] = settled.tolist()
+        else:
+            constants[name] = float(settled[0])
+    return new.model_copy(update={"constants": constants, "axes": axes, "cases": cases})
+
+
+def _nearest(known: np.ndarray, given: np.ndarray, rounding: np.ndarray) -> np.ndarray:
+    """`given`, each value replaced by a known one within `rounding`; values that differ stay so."""
+    known = np.unique(known)
+    after = np.searchsorted(known, given).clip(0, len(known) - 1)
+    pair = known[np.stack([(after - 1).clip(0), after])]
+    nearest = np.where(abs(pair[0] - given) < abs(pair[1] - given), *pair)
+    settled = np.where(abs(nearest - given) <= rounding, nearest, given)
+    return settled if len(np.unique(settled)) == len(np.unique(given)) else given
+
+
 def _differences(store: Store, new: Sweep) -> Iterator[str]:
     """What must be equal in both sweeps and differs."""
     old = store.grid.sweep
@@ -101,7 +137,7 @@ def _differences(store: Store, new: Sweep) -> Iterator[str]:
 
 def _losses(old: Grid, new: Grid) -> Iterator[str]:
     """What the store has and the larger sweep lacks."""
-    before, after = _constants(old), _constants(new)
+    before, after = old.sweep.held(), new.sweep.held()
     for dim in old.dims:
         if dim not in new.dims:
             yield f"`{dim}` must stay a dimension: the store has {old.dims[dim]} places along it."
@@ -134,17 +170,9 @@ def _along(grid: Grid, dim: str) -> dict[str, np.ndarray]:
     return {name: v for name, v in grid.coordinates(dim).items() if name != "case"}
 
 
-def _constants(grid: Grid) -> dict[str, Any]:
-    """Fields and choices that do not vary, with their values."""
-    constants = {name: getattr(Model(), name) for name in CHOICES} | vars(Params())
-    constants |= dict(grid.sweep.model) | dict(grid.sweep.constants)
-    swept = {name for dim in grid.dims for name in grid.coordinates(dim, slice(0, 1))}
-    return {name: value for name, value in constants.items() if name not in swept}
-
-
 def _places(old: Grid, new: Grid, dim: str) -> np.ndarray:
     """For each place along a dimension of the new grid, the place in the old one, or -1."""
-    values, known, constants = _along(new, dim), _along(old, dim), _constants(old)
+    values, known, constants = _along(new, dim), _along(old, dim), old.sweep.held()
     same = np.ones(new.dims[dim], bool)
     for name in values.keys() - known.keys():
         same &= values[name] == constants[name]

@@ -14,7 +14,7 @@ import zarr
 
 from sweeps.plan.grid import Grid
 from sweeps.spec.mistakes import SweepError, printable
-from sweeps.spec.overrides import override
+from sweeps.spec.overrides import override_all
 from sweeps.spec.reading import validate
 from sweeps.spec.types import Sweep
 from sweeps.store import format as store_format
@@ -112,8 +112,7 @@ class Store:
         estimate, precision = self.grid.sweep.error_estimate, int(self.dtype.removeprefix("float"))
         raw = json.loads(self.grid.sweep.record())
         raw |= {"error_estimate": estimate, "precision": precision}
-        for assignment in overrides:
-            override(raw, assignment)
+        override_all(raw, overrides)
         return validate(raw, str(self.path))
 
     def damaged(self, what: str) -> SweepError:

@@ -14,9 +14,9 @@ SAMPLE = 'name = "a"\n[sample]\nn = 9\n'
 
 WRONG = {
     "foo = 1\n" + GOOD: "unknown key `foo`; known are name, description",
-    GOOD + "K00 = [1.0]": "unknown key `axes.K00`; did you mean `K0`?",
-    GOOD + "kenv = [1.0]": "unknown key `axes.kenv`; did you mean `Kenv`?",
-    GOOD + "[constants]\ndenv = 1": "unknown key `constants.denv`; did you mean `Denv`?",
+    GOOD + "K00 = [1.0]": "unknown key `axes.K00`; did you mean `K0` (",
+    GOOD + "kenv = [1.0]": "unknown key `axes.kenv`; did you mean `Kenv` (",
+    GOOD + "[constants]\ndenv = 1": "unknown key `constants.denv`; did you mean `Denv` (",
     GOOD + "[model]\nlaws = 'effort'": "unknown key `model.laws`; did you mean `law`?",
     GOOD + "[time]\ndT = 0.1": "unknown key `time.dT`; did you mean `dt`?",
     GOOD
@@ -86,6 +86,16 @@ def test_a_mistake_gets_one_clear_line(text, message):
         ('name = 3\n[axes]\nK0 = ["a"]', 2),  # wrong types
         (GOOD + "I = [-1.0]\nTd = [0.0]\nKenv = [-2.0]", 3),  # out of bounds
         (GOOD + "[cases]\nK0 = [1.0]\nTd = [1.0, 2.0]", 2),  # wrong places
+        (  # of every kind at once: types, unknown names, places, bounds, the time grid
+            "foo = 1\n"
+            + GOOD
+            + 'Kenv = "x"\nI = [-1.0]\nk1 = [1.0]\n[constants]\nK0 = 3.0\nTd = 0.0\nxb = "0.2"\n'
+            + '[model]\nlaw = "effrt"\n[time]\ndt = 0.3',
+            9,
+        ),
+        ('name = 3\n[time]\ndt = "x"\n[axes]\nperiod = [0.002]', 2),  # dt is not known
+        ('name = "a"\n[time]\ndt = -1.0\n[axes]\nK0 = ["a"]', 2),  # an axis was meant
+        ('name = "a"\n[sample]\nranges = { Td = 3 }\n[constants]\nI = -1.0', 3),
     ],
 )
 def test_each_mistake_gets_a_line(text, lines):

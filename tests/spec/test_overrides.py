@@ -1,5 +1,8 @@
 """`--set KEY=VALUE` changes one key of a sweep file; a wrong value is refused as in the file."""
 
+import re
+import shlex
+
 import pytest
 
 from sweeps.spec.mistakes import SweepError
@@ -42,10 +45,18 @@ def test_other_keys_need_no_table():
     [
         ("K0", "--set K0: must be KEY=VALUE, as in --set K0=10"),
         ("=3", "--set =3: must be KEY=VALUE, as in --set K0=10"),
-        ("k0=3", "unknown key `k0`; did you mean `K0`?"),
-        ("K0=x", '`constants.K0` must be a number, but is "x".'),
-        ("K0=" + "[" * 100_000, "`constants.K0` must be a number"),
-        ("K0=" + "9" * 5000, "`constants.K0` must be a number"),
+        ("k0=3", "unknown key `k0`; did you mean `K0` (constant stiffness of"),
+        ("K0=x", "--set K0=x: `K0` must be a number, a list or a range (lin or log), as in --set"),
+        ("K0='x'", "--set K0='x': `K0` must be a number, a list or a range"),
+        ("K0=" + "[" * 100_000, "`K0` must be a number"),
+        ("K0=" + "9" * 5000, "`K0` must be a number"),
+        ("rate=1000", "did you mean `period` (control period of the exploration, in s)?"),
+        ("inertia=0.05", "did you mean `I` (inertia, in kg*m^2)?"),
+        (
+            "stiffness=5",
+            "did you mean `K0` (constant stiffness of the controller, in N*m/rad) or `K",
+        ),
+        ("time.dt=0.005", "unknown key `time.dt`; did you mean `dt`?"),
         ("K0={ lin = [1, 9], n = 10000000000 }", "`axes.K0.n` must be less than or equal to"),
         ("name=../../x", "`name` must be letters, digits"),
         ("metrics=['../x']", "unknown metric `../x`"),
@@ -73,3 +84,26 @@ def test_a_wrong_value_is_refused(value, wanted):
 def test_a_wrong_table_stays_wrong(text):
     with pytest.raises(SweepError, match="must be a"):
         parse(text + 'name = "a"', "f", ("dt=0.1", "K0=3", "Td=[1, 2]"))
+
+
+@pytest.mark.parametrize(
+    ("value", "number"),
+    [("1.", 1.0), (".5", 0.5), ("-1.", -1.0), ("1.e2", 100.0), ("+.5e-1", 0.05), ("1e3", 1000.0)],
+)
+def test_a_number_may_be_written_as_python_does(value, number):
+    assert parse(FILE, "f", (f"Td={value}",)).constants["Td"] == number
+    assert parse(FILE, "f", (f"Td=[{value}, 7.]",)).axes["Td"] == [number, 7.0]
+
+
+@pytest.mark.parametrize("value", ["300-3000", "300:3000", "300..3000", "300, 3000", "(300,3000)"])
+def test_the_message_about_a_range_shows_one_that_works(value):
+    with pytest.raises(SweepError) as refusal:
+        parse(FILE, "f", (f"Kenv={value}",))
+    commands = re.findall(r"--set ('Kenv=.*?')", str(refusal.value))
+    axes = [parse(FILE, "f", tuple(shlex.split(text))).axis_values("Kenv") for text in commands]
+    assert [(axis[0], axis[-1], len(axis)) for axis in axes] == [(300, 3000, 2), (300, 3000, 16)]
+
+
+def test_a_key_set_twice_is_refused():
+    with pytest.raises(SweepError, match="--set K0=20: `K0` is set twice"):
+        parse(FILE, "f", ("K0=10", "Td=3", "K0=20"))

@@ -1,5 +1,7 @@
 """The values of an axis, and the sweeps of the library."""
 
+from decimal import Decimal, localcontext
+
 import numpy as np
 import pytest
 
@@ -25,6 +27,32 @@ def test_an_axis_is_evenly_spaced_on_its_scale():
 )
 def test_the_ends_of_an_axis_are_exact(axis):
     assert (axis.values()[0], axis.values()[-1]) == axis.ends
+
+
+@pytest.mark.parametrize(
+    ("axis", "decimals"),
+    [
+        (SpacedRange(lin=(0.0, 1.0), n=11), "0 0.1 0.2 0.3 0.4 0.5 0.6 0.7 0.8 0.9 1"),
+        (SpacedRange(lin=(-0.1, 0.2), n=4), "-0.1 0 0.1 0.2"),
+        (SpacedRange(lin=(1e-4, 7e-4), n=7), "1e-4 2e-4 3e-4 4e-4 5e-4 6e-4 7e-4"),
+        (SpacedRange(lin=(2e6, 2.3e6), n=4), "2e6 2.1e6 2.2e6 2.3e6"),
+        (SpacedRange(log=(1e-3, 1e3), n=7), "1e-3 1e-2 1e-1 1 10 100 1000"),
+        (SpacedRange(log=(0.3, 300.0), n=4), "0.3 3 30 300"),
+    ],
+)
+def test_a_short_decimal_is_that_decimal(axis, decimals):
+    """So that `.sel(gap=0.3)` finds it and a table shows it."""
+    assert axis.values().tolist() == [float(text) for text in decimals.split()]
+
+
+def test_a_value_is_as_exact_as_float64_allows():
+    """On every processor: numpy's float64 `exp` uses its own, less exact one where AVX-512 is."""
+    axis = SpacedRange(log=(1.7, 4321.0), n=500)
+    with localcontext(prec=40):
+        ratio = (Decimal(4321.0) / Decimal(1.7)).ln() / 499
+        exact = [float(Decimal(1.7) * (ratio * i).exp()) for i in range(500)]
+    np.testing.assert_array_max_ulp(axis.values(), np.array(exact), 1)
+    assert (axis.values() == exact).mean() > 0.98
 
 
 def test_any_part_of_an_axis_has_the_values_of_the_whole():
