@@ -9,5 +9,6 @@
 
 A store keeps the record as JSON, and its hash. Opening a store checks the hash and repeats step 3
 alone.
-`warnings` has a line for what is allowed but may surprise.
+`warnings` has a line for what is allowed but may surprise; `digits` says how many digits of a value
+to print.
 """
