@@ -10,10 +10,12 @@ import jax
 
 import fic_jax
 from fic_jax.engine import arithmetic
+from sweeps.spec.types import RANGES
 
 # `resume` continues a store only if all of these are equal; the rest is for the reader.
 IDENTITY = (
     "numerics",
+    "ranges",
     "arithmetic",
     "jax",
     "jaxlib",
@@ -32,6 +34,7 @@ def provenance(precision: int) -> dict[str, Any]:
     return {
         "fic_jax": fic_jax.__version__,
         "numerics": fic_jax.NUMERICS,
+        "ranges": RANGES,
         "arithmetic": arithmetic(),
         "revision": revision(),
         "jax": jax.__version__,

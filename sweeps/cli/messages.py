@@ -2,21 +2,26 @@
 
 import math
 import shlex
+import textwrap
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from fic_jax import CHOICES, QUANTITIES
 from sweeps.plan.grid import Grid
 from sweeps.runner import Progress
+from sweeps.spec.digits import digits
 from sweeps.spec.mistakes import SweepError, printable
+from sweeps.spec.types import Sweep
 from sweeps.store.format import DEFINITIONS, DIVERGED, size
 from sweeps.store.ledger import Row, intact
 from sweeps.store.opening import Counts, Store
 from sweeps.store.verify import Report
 
 MAX_PROBLEMS = 20  # damaged files that `verify` names
-METRICS_IN_A_LINE = 4  # of `status`
+NO_BREAK = "\xa0"  # a space at which no line ends
+WIDTH, HEAD = 98, 10  # columns of a line, and of the word that it begins with
 MAX_NAMED = 5  # failed blocks, or diverged scenarios, that `status` names
 
 
@@ -26,9 +31,36 @@ def plan_lines(grid: Grid, dtype: str) -> list[str]:
     estimates = ", error estimates included" if grid.sweep.error_estimate else ""
     return [
         f"{_dims(grid)} = {grid.cells:,} scenarios of {grid.sweep.n_steps:,} steps",
-        f"{grid.n_blocks:,} blocks of up to {shape}",
+        f"{counted(grid.n_blocks, 'block')} of up to {shape}",
         f"{_bytes(size(grid, dtype))} on disk before compression, {dtype}{estimates}",
     ]
+
+
+def held_lines(sweep: Sweep) -> list[str]:
+    """What does not vary: values that the sweep names, defaults, choices."""
+    defaults, held = sweep.defaults(), sweep.held()
+    numbers = {name: _quantity(name, value) for name, value in held.items() if name in QUANTITIES}
+    choices = {name: f"{name} {value}" for name, value in held.items() if name in CHOICES}
+    time = [f"{name} = {value:.12g} s" for name, value in sweep.time]
+    parts = {
+        "held": time + [text for name, text in numbers.items() if name not in defaults],
+        "default": [text for name, text in numbers.items() if name in defaults],
+        "model": [t + " (default)" * (name in defaults) for name, t in choices.items()],
+    }
+    return [line for head, texts in parts.items() for line in _in_lines(head, texts)]
+
+
+def _quantity(name: str, value: float | str) -> str:
+    """A field, its value and its unit: `K0 = 100 N*m/rad`."""
+    return f"{name} = {value:.12g} {QUANTITIES[name]['unit']}".removesuffix(" 1")
+
+
+def _in_lines(head: str, texts: Sequence[str]) -> list[str]:
+    """Texts with commas between them, broken at commas; the first line begins with `head`."""
+    whole = [text.replace(" ", NO_BREAK) for text in texts]
+    rows = textwrap.wrap(", ".join(whole), WIDTH - HEAD, break_on_hyphens=False)
+    lines = [row.replace(NO_BREAK, " ") for row in rows]
+    return [f"{'' if i else head:{HEAD}}{line}" for i, line in enumerate(lines)]
 
 
 def expectation(grid: Grid, compiling: float, rate: float) -> str:
@@ -53,6 +85,7 @@ def status_lines(store: Store) -> list[str]:
         *(f"failed    {block}" for block in _set_aside(store, counts.set_aside)),
         *_trusted(counts),
         f"metrics   {DEFINITIONS[store.definition]}",
+        *held_lines(grid.sweep),
         f"blocks    {len(counts.pending):,} of {grid.n_blocks:,} to do",
         printable(f"began     {attrs['start']}, ended {attrs.get('end', 'not yet')}"),
         printable(f"made by   {made_by}"),
@@ -98,7 +131,10 @@ def _value(grid: Grid, dim: str, index: int) -> str:
     if dim == "scenario":
         return str(index)
     value = grid.coordinates(dim, slice(index, index + 1))[dim][0]
-    return str(value) if isinstance(value, str) else f"{value:g}"
+    if isinstance(value, str):
+        return str(value)
+    near = grid.coordinates(dim, slice(max(index - 1, 0), index + 2))[dim]
+    return f"{value:.{digits(near)}g}"
 
 
 def progress_line(progress: Progress) -> str:
@@ -181,11 +217,9 @@ def _reason(error: BaseException) -> str:
 
 
 def _trusted(counts: Counts) -> list[str]:
-    """Of each metric, the share of finished cells in which it is trusted; a few in a line."""
+    """Of each metric, the share of finished cells in which it is trusted."""
     shares = [f"{name} {_percent(n, counts.done)}" for name, n in counts.trusted.items()]
-    starts = range(0, len(shares), METRICS_IN_A_LINE)
-    rows = [", ".join(shares[i : i + METRICS_IN_A_LINE]) for i in starts]
-    return [f"{'' if i else 'trusted':10}{row}" for i, row in enumerate(rows)]
+    return _in_lines("trusted", shares)
 
 
 def _dims(grid: Grid) -> str:

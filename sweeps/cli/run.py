@@ -54,7 +54,10 @@ def run(
     ] = False,
 ) -> None:
     """Run a sweep into a new store."""
+    from sweeps.spec.overrides import refuse_repeated
+
     stop = interruption.stop_on_signals()
+    refuse_repeated(set_ or [])
     overrides = [*(set_ or []), *(["error_estimate=true"] if error_estimate else [])]
     overrides += [f"precision={precision}"] if precision else []
     with importing():
@@ -62,11 +65,14 @@ def run(
 
     sweep = read(what, overrides)
     runner.configure(sweep.bits, device and device.value)
-    warn(sweep)
+    path = out or Path(f"{sweep.name}.zarr")
     if dry_run:
         _print_plan(sweep, chunk)
+        warn(sweep)
+        runner.check_start(path, sweep, chunk, sweep.bits)
         return
-    store = runner.start(out or Path(f"{sweep.name}.zarr"), sweep, chunk, sweep.bits)
+    store = runner.start(path, sweep, chunk, sweep.bits)
+    warn(sweep)  # a refused sweep needs no warning
     _finish(store, stop)
 
 
@@ -89,8 +95,8 @@ def resume(
         extension.recover(path)
         store = reopen(path)
         if larger:
-            warn(larger)
             store = extension.extend(store, larger, str(file))
+            warn(larger)
     _finish(store, stop)
 
 
@@ -107,12 +113,12 @@ def reopen(path: Path) -> "Store":
 
 
 def _print_plan(sweep: "Sweep", chunk: int | None) -> None:
-    from sweeps.cli.messages import expectation, plan_lines
+    from sweeps.cli.messages import expectation, held_lines, plan_lines
     from sweeps.plan.grid import Grid
     from sweeps.runner import measure
 
     grid, dtype = Grid(sweep, chunk), f"float{sweep.bits}"
-    for line in plan_lines(grid, dtype):
+    for line in (*plan_lines(grid, dtype), *held_lines(sweep)):
         print(line)
     print(expectation(grid, *measure(grid, dtype)))
 

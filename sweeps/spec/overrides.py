@@ -13,16 +13,13 @@ from sweeps.spec.types import Time
 TOP_LEVEL = ("name", "description", "metrics", "error_estimate", "precision")
 
 
-def override_all(raw: dict[str, Any], texts: Iterable[str]) -> None:
-    """Apply each `--set KEY=VALUE` to `raw`. Raises SweepError for a mistake, or a key set twice."""
+def refuse_repeated(texts: Iterable[str]) -> None:
+    """Raise SweepError if two of `--set KEY=VALUE` have the same KEY."""
     seen: set[str] = set()
     for text in texts:
-        override(raw, text)
         key = text.partition("=")[0].strip()
         if key in seen:
-            raise SweepError(
-                f"--set {printable(text)}: `{key}` is set twice; which value is meant?"
-            )
+            raise SweepError(f"--set {printable(text)}: `{printable(key)}` must be set once")
         seen.add(key)
 
 
@@ -30,8 +27,9 @@ def override(raw: dict[str, Any], text: str) -> None:
     """Apply `--set KEY=VALUE` to `raw`.
 
     KEY is a field of Params, a choice of Model or another key of the file, without its table.
-    VALUE is TOML, or a number as Python writes it; a bare word is a text. A field of Params becomes a constant if VALUE is a number
-    and an axis if it is a list or a range; any former value of the field is removed.
+    VALUE is TOML, or a number as Python writes it; a bare word is a text. A field of Params becomes
+    a constant if VALUE is a number and an axis if it is a list or a range; any former value of the
+    field is removed.
 
     Raises SweepError if `text` is no KEY=VALUE or KEY is unknown.
     """

@@ -9,30 +9,46 @@ from pydantic import ValidationError
 
 from sweeps.spec import rules
 from sweeps.spec.mistakes import SweepError, explain, explain_toml, printable
-from sweeps.spec.overrides import override_all
+from sweeps.spec.overrides import override
 from sweeps.spec.types import Sweep
 
 MAX_FILE = 1_000_000  # bytes: the TOML reader takes 4 s for a list that long
 MAX_PARTS = 20  # of a dotted key: the reader takes time with their square; a sweep has four
 MAX_KEYS = 1_000  # of a file: each wrong one costs a line and a search for a similar name
+FOREIGN = {  # first bytes -> what such a file is
+    b"\x89HDF": "a NetCDF or HDF5 file",
+    b"CDF": "a NetCDF file",
+    b"PK": "a zip archive",
+    b"\xff\xfe": "a text in UTF-16",
+    b"\xfe\xff": "a text in UTF-16",
+    b"": "no text",
+}
 MAX_MISTAKES = 20  # lines of a SweepError; a last line counts the rest
 
 
 def load(path: Path, overrides: tuple[str, ...] = ()) -> Sweep:
     """Read and check a sweep file. Raises SweepError, with a line for each mistake."""
+    return parse(read_text(path), str(path), overrides)
+
+
+def read_text(path: Path) -> str:
+    """The text of a sweep file. Raises SweepError."""
     try:
         with path.open("rb") as file:  # a device has no end: read no more than may be used
             content = file.read(MAX_FILE + 1)
         if len(content) > MAX_FILE:
             raise SweepError(f"{path}: must be at most {MAX_FILE:,} bytes long, but is longer.")
-        text = content.decode("utf-8-sig")  # some editors write a byte order mark
+        return content.decode("utf-8-sig")  # some editors write a byte order mark
+    except UnicodeDecodeError:
+        kind = next((kind for first, kind in FOREIGN.items() if content.startswith(first)))
+        wanted = f"is {kind}; a sweep file is TOML, a text in UTF-8"
+        raise SweepError(f"{printable(str(path))}: {wanted}") from None
     except FileNotFoundError:
         raise SweepError(f"{path}: there is no such file") from None
     except (OSError, ValueError) as error:
         raise SweepError(
             f"{printable(str(path))}: can't be read: {printable(str(error))}"
         ) from None
-    return parse(text, str(path), overrides)
 
 
 def parse(text: str, source: str, overrides: tuple[str, ...] = ()) -> Sweep:
@@ -49,7 +65,8 @@ def parse(text: str, source: str, overrides: tuple[str, ...] = ()) -> Sweep:
         raise SweepError(f"{source}: not valid TOML: nested too deeply") from None
     except ValueError:  # Python converts at most 4300 digits
         raise SweepError(f"{source}: not valid TOML: a number of thousands of digits") from None
-    override_all(raw, overrides)
+    for assignment in overrides:
+        override(raw, assignment)
     return validate(raw, source)
 
 

@@ -53,7 +53,7 @@ def known_names(sweep: Sweep) -> Sweep:
     def known(table: dict[str, Any], names: Container[str]) -> dict[str, Any]:
         return {name: value for name, value in table.items() if name in names}
 
-    tables = {name: known(getattr(sweep, name), QUANTITIES) for name in TABLES}
+    tables: dict[str, Any] = {name: known(getattr(sweep, name), QUANTITIES) for name in TABLES}
     if sweep.sample:
         ranges = known(sweep.sample.ranges, QUANTITIES)
         tables["sample"] = sweep.sample.model_copy(update={"ranges": ranges})

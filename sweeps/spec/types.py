@@ -22,6 +22,7 @@ MAX_CASES = 10_000  # rows of [cases]: a person writes them
 MAX_CELLS = 10**12  # scenarios of a sweep: each float32 variable then takes 4 TB
 MAX_NAMES = 100  # metrics or choices in a list: fic_jax has fewer
 MAX_STEPS = 100_000_000  # plant steps: the engine counts them in int32
+RANGES = 2  # version of the values of a range; raise it with a change of any bit
 ROUNDING = 4 * float(np.finfo(float).eps)  # relative: values closer than this are one value
 DIGITS = 12  # most digits of a decimal that a person writes
 # Fields that share a check with another field: xb > x0, K0 x0 > Fmax, the stiffest scenario.
@@ -214,7 +215,7 @@ class Sweep(Record):
         return axis.values(part) if isinstance(axis, SpacedRange) else np.array(axis[part])
 
     def field_values(self, name: str) -> np.ndarray:
-        """All values of a field of Params that no range is drawn from; its default, if not named."""
+        """All values of a field of Params that is not drawn; its default, if not named."""
         if name in self.axes:
             return self.axis_values(name)
         if name in self.cases:

@@ -1,6 +1,6 @@
 """Copy a store into a larger one: more values, axes, choices or scenarios, and no number changed.
 
-First `_settled` gives the larger plan the store's values where the two differ by rounding alone, and
+First `_settled` gives the larger plan the store's values where the two differ by rounding alone.
 `_differences` and `_losses` compare the two plans. `_places` then maps each dimension of the larger
 plan to places in the store, and `_gather` copies the cells of each block.
 """

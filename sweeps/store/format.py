@@ -1,6 +1,7 @@
 """What a store has on the disk: its arrays, the flags of a cell, its attributes."""
 
 import hashlib
+import json
 from collections.abc import Iterator
 from typing import Any
 
@@ -137,6 +138,9 @@ def attributes(grid: Grid) -> dict[str, Any]:
         "sweep": sweep.record(),
         "sweep_sha256": sha256(sweep.record()),
         "block_cells": grid.block_cells,
+        # all that does not vary, and which of it the sweep does not name; NetCDF knows no tables
+        "held": json.dumps({"dt": sweep.time.dt, "t_end": sweep.time.t_end} | sweep.held()),
+        "held_by_default": " ".join(sweep.defaults()),
         "error_estimate": int(sweep.error_estimate),  # NetCDF knows no booleans
         "metrics_definition": DEFINITION,
         "metrics_definition_meaning": DEFINITIONS[DEFINITION],

@@ -14,7 +14,7 @@ import zarr
 
 from sweeps.plan.grid import Grid
 from sweeps.spec.mistakes import SweepError, printable
-from sweeps.spec.overrides import override_all
+from sweeps.spec.overrides import override
 from sweeps.spec.reading import validate
 from sweeps.spec.types import Sweep
 from sweeps.store import format as store_format
@@ -112,7 +112,8 @@ class Store:
         estimate, precision = self.grid.sweep.error_estimate, int(self.dtype.removeprefix("float"))
         raw = json.loads(self.grid.sweep.record())
         raw |= {"error_estimate": estimate, "precision": precision}
-        override_all(raw, overrides)
+        for assignment in overrides:
+            override(raw, assignment)
         return validate(raw, str(self.path))
 
     def damaged(self, what: str) -> SweepError:
@@ -317,7 +318,8 @@ def dataset(path: Path) -> "xr.Dataset":
     store.check_metadata()
     store.check_files()
     data = xr.open_zarr(path, chunks=None)[store.variables]
-    meaning = DEFINITIONS[store.definition]  # formats 1 and 2 do not say it
-    return data.assign_attrs(
-        metrics_definition=store.definition, metrics_definition_meaning=meaning
-    )
+    # older stores do not say it all
+    says = store_format.attributes(store.grid)
+    meaning = {"metrics_definition_meaning": DEFINITIONS[store.definition]}
+    data.attrs |= {name: says[name] for name in ("held", "held_by_default")}
+    return data.assign_attrs({"metrics_definition": store.definition} | meaning)
