@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sweeps.cli import interruption
-from sweeps.cli.arguments import StorePath
+from sweeps.cli.arguments import NewStore, StorePath
 from sweeps.cli.errors import fail, system_errors_reported
 from sweeps.cli.library import find, read, warn
 from sweeps.cli.process import importing
@@ -36,7 +36,7 @@ def run(
     what: Annotated[
         str, typer.Argument(metavar="NAME|FILE|STORE", help="library name, TOML file or a store")
     ],
-    out: Annotated[Path | None, typer.Option(metavar="PATH", help="the store to write")] = None,
+    out: NewStore = None,
     set_: Annotated[
         list[str] | None,
         typer.Option(

@@ -3,7 +3,9 @@
 import difflib
 import json
 import re
+import shlex
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 from sweeps.spec.types import RandomDesign, Range, Record, SpacedRange, Sweep, Time
@@ -27,6 +29,12 @@ def hint(word: str, known: Iterable[str]) -> str:
     lower = {name.lower(): name for name in names}
     near = difflib.get_close_matches(word.lower(), lower, n=1, cutoff=0.5)
     return f"; did you mean `{lower[near[0]]}`?" if near else "; known are " + ", ".join(names)
+
+
+def command(*words: object) -> str:
+    """A command of ours between backticks, quoted: pasted into a shell, it works."""
+    texts = [f"./{w}" if isinstance(w, Path) and str(w)[0] == "-" else str(w) for w in words]
+    return f"`{shlex.join(['fic-sweep', *texts])}`"
 
 
 def explain_toml(message: str, text: str) -> str:
