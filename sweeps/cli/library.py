@@ -54,10 +54,11 @@ def find(what: str) -> Path:
         return Path(what)
     path = LIBRARY / f"{what}.toml"
     if not path.is_file():
-        from sweeps.spec.mistakes import hint
+        from sweeps.spec.mistakes import hint, printable
 
         names = sorted(path.stem for path in LIBRARY.glob("*.toml"))
-        refuse(f"{what}: is no file and no sweep of the library{hint(what, names)}")
+        known = hint(what, names)
+        refuse(f"{printable(what)}: is no file and no sweep of the library{known}")
     return path
 
 

@@ -27,7 +27,7 @@ def load(path: Path, overrides: tuple[str, ...] = ()) -> Sweep:
             raise SweepError(f"{path}: must be at most {MAX_FILE:,} bytes long, but is longer.")
         text = content.decode("utf-8-sig")  # some editors write a byte order mark
     except FileNotFoundError:
-        raise SweepError(f"{path}: there is no such file") from None
+        raise SweepError(f"{printable(str(path))}: there is no such file") from None
     except (OSError, ValueError) as error:
         raise SweepError(
             f"{printable(str(path))}: can't be read: {printable(str(error))}"

@@ -19,13 +19,13 @@ def place(typed: str | Path) -> Path:
     if any(unicodedata.category(c) in ("Cc", "Zl", "Zp") for c in text):
         raise SweepError(f"{printable(text)}: a path must have no control characters")
     path = Path(os.path.expanduser(text))
+    if path.is_absolute():
+        return Path(os.path.realpath(path))
     try:
-        real = Path(os.path.realpath(path))
-        here = os.getcwd()
+        real, here = Path(os.path.realpath(path)), Path(os.getcwd())
     except FileNotFoundError:
         raise SweepError(f"{path}: the folder that you are in was deleted") from None
-    below = not path.is_absolute() and real.is_relative_to(here) and real != Path(here)
-    return real.relative_to(here) if below else real
+    return real.relative_to(here) if here in real.parents else real
 
 
 def place_of_store(typed: str | Path) -> Path:
