@@ -1,7 +1,6 @@
 """The sweeps of the library: `list`, `show`, and finding one by its name."""
 
 import os
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -52,7 +51,7 @@ def read(what: str, overrides: Sequence[str]) -> "Sweep":
 
 def is_store(what: str) -> bool:
     """Whether a path is that of a result store."""
-    return os.path.isfile(os.path.join(what, "zarr.json"))
+    return bool(what) and os.path.isfile(os.path.join(what, "zarr.json"))
 
 
 def find(what: str) -> Path:
@@ -60,26 +59,20 @@ def find(what: str) -> Path:
 
     Refuses a store and a folder.
     """
-    place, path = Path(what), LIBRARY / f"{what}.toml"
-    if is_store(what):
-        quoted = shlex.quote(what)
-        refuse(
-            f"{what}: is a result store, no sweep file; `fic-sweep status {quoted}` describes it"
-        )
-    if os.path.isdir(what) and not (what and path.is_file()):
-        refuse(f"{what or '(nothing)'}: is a folder, no sweep file")
-    if place.is_file() or "/" in what or what.endswith(".toml"):
-        return place
-    if path.is_file() and os.path.isfile(f"{what}.toml"):
-        complain(
-            f"warning: {what} is a sweep of the library; for the file in this folder, write "
-            f"{what}.toml"
-        )
-    if not path.is_file():
-        from sweeps.spec.mistakes import hint
+    from sweeps.spec.mistakes import command, hint, printable
 
+    given, path = Path(what), LIBRARY / f"{what}.toml"
+    if is_store(what):
+        described = f"{command('status', given)} describes it"
+        refuse(f"{printable(what)}: is a result store, no sweep file; {described}")
+    if given.is_file() or "/" in what or what.endswith(".toml"):
+        return given
+    if path.is_file() and os.path.isfile(f"{what}.toml"):
+        complain(f"warning: {what} is the library's sweep; {what}.toml is the file in this folder")
+    if not path.is_file():
         names = sorted(path.stem for path in LIBRARY.glob("*.toml"))
-        refuse(f"{what}: is no file and no sweep of the library{hint(what, names)}")
+        known = hint(what, names)
+        refuse(f"{printable(what)}: is no file and no sweep of the library{known}")
     return path
 
 

@@ -1,7 +1,6 @@
 """What the commands print, as lines of text."""
 
 import math
-import shlex
 import textwrap
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -12,7 +11,7 @@ from fic_jax import CHOICES, QUANTITIES
 from sweeps.plan.grid import Grid
 from sweeps.runner import Progress
 from sweeps.spec.digits import digits
-from sweeps.spec.mistakes import SweepError, printable
+from sweeps.spec.mistakes import SweepError, command, printable
 from sweeps.spec.types import Sweep
 from sweeps.store.format import DEFINITIONS, DIVERGED, size
 from sweeps.store.ledger import Row, intact
@@ -200,8 +199,8 @@ def interrupted(store: Store, error: BaseException) -> str:
 
 
 def _resume(store: Store) -> str:
-    """The command that continues a store, quoted for a shell."""
-    return f"`fic-sweep resume {shlex.quote(str(store.path))}`"
+    """The command that continues a store."""
+    return command("resume", store.path)
 
 
 def system_error(path: Path, error: OSError) -> str:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from sweeps.cli.arguments import StorePath
+from sweeps.cli.arguments import NewFile, StorePath
 from sweeps.cli.errors import refuse, unreadable_refused
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def plot(
     at: Annotated[
         list[str] | None, typer.Option(metavar="KEY=VALUE", help="value of another dimension")
     ] = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="the picture to write")] = None,
+    out: NewFile = None,
 ) -> None:
     """Draw a heatmap of a metric over two dimensions."""
     from figures import PlotError, save
@@ -74,7 +74,7 @@ def _fixed(at: list[str]) -> dict[str, str]:
 def export(
     path: StorePath,
     to: Annotated[Format, typer.Option(help="format to write")],
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="the file to write")] = None,
+    out: NewFile = None,
 ) -> None:
     """Write a store as one table or one NetCDF file."""
     from sweeps.export import SUFFIX, write

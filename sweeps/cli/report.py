@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sweeps.cli import interruption
+from sweeps.cli.arguments import folder
 from sweeps.cli.errors import fail
 
 if TYPE_CHECKING:
@@ -14,10 +15,12 @@ if TYPE_CHECKING:
 
 def report(
     results: Annotated[
-        Path, typer.Option(metavar="PATH", help="folder of the stores, pictures and pages")
+        Path,
+        typer.Option(parser=folder, metavar="PATH", help="folder of the stores, pictures, pages"),
     ] = Path("results"),
     docs: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="a folder that gets a copy as report.md")
+        Path | None,
+        typer.Option(parser=folder, metavar="PATH", help="a folder that gets a copy as report.md"),
     ] = None,
     only: Annotated[
         list[str] | None, typer.Option(metavar="ID", help="print these claims alone, as C12")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sweeps.cli import interruption
-from sweeps.cli.arguments import StorePath
+from sweeps.cli.arguments import NewStore, StorePath
 from sweeps.cli.errors import fail, system_errors_reported
 from sweeps.cli.library import find, read, warn
 from sweeps.cli.process import importing
@@ -36,7 +36,7 @@ def run(
     what: Annotated[
         str, typer.Argument(metavar="NAME|FILE|STORE", help="library name, TOML file or a store")
     ],
-    out: Annotated[Path | None, typer.Option(metavar="PATH", help="the store to write")] = None,
+    out: NewStore = None,
     set_: Annotated[
         list[str] | None,
         typer.Option(
@@ -54,15 +54,14 @@ def run(
     ] = False,
 ) -> None:
     """Run a sweep into a new store."""
-    from sweeps.spec.overrides import refuse_repeated
-
     stop = interruption.stop_on_signals()
-    refuse_repeated(set_ or [])
     overrides = [*(set_ or []), *(["error_estimate=true"] if error_estimate else [])]
     overrides += [f"precision={precision}"] if precision else []
     with importing():
         from sweeps import runner
+        from sweeps.spec.overrides import refuse_repeated
 
+    refuse_repeated(set_ or [])
     sweep = read(what, overrides)
     runner.configure(sweep.bits, device and device.value)
     path = out or Path(f"{sweep.name}.zarr")

@@ -3,7 +3,9 @@
 import difflib
 import json
 import re
+import shlex
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 from fic_jax import QUANTITIES
@@ -59,6 +61,12 @@ def _meaning(name: str) -> str:
     if name not in QUANTITIES:
         return ""
     return f" ({QUANTITIES[name]['meaning']}, in {QUANTITIES[name]['unit']})"
+
+
+def command(*words: object) -> str:
+    """A command of ours between backticks, quoted: pasted into a shell, it works."""
+    texts = [f"./{w}" if isinstance(w, Path) and str(w)[0] == "-" else str(w) for w in words]
+    return f"`{shlex.join(['fic-sweep', *texts])}`"
 
 
 def explain_toml(message: str, text: str) -> str:

@@ -43,8 +43,10 @@ def read_text(path: Path) -> str:
         kind = next((kind for first, kind in FOREIGN.items() if content.startswith(first)))
         wanted = f"is {kind}; a sweep file is TOML, a text in UTF-8"
         raise SweepError(f"{printable(str(path))}: {wanted}") from None
+    except IsADirectoryError:
+        raise SweepError(f"{printable(str(path))}: is a folder, no sweep file") from None
     except FileNotFoundError:
-        raise SweepError(f"{path}: there is no such file") from None
+        raise SweepError(f"{printable(str(path))}: there is no such file") from None
     except (OSError, ValueError) as error:
         raise SweepError(
             f"{printable(str(path))}: can't be read: {printable(str(error))}"

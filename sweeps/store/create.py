@@ -4,23 +4,25 @@ import os
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import zarr
 
 from sweeps.plan.grid import Grid
-from sweeps.spec.mistakes import SweepError
+from sweeps.spec.mistakes import SweepError, command
 from sweeps.store import format as store_format
 from sweeps.store.fsync import PARTIAL, sync, sync_tree
-from sweeps.store.ledger import LEDGER, Ledger
+from sweeps.store.ledger import LEDGER, Ledger, LedgerError
 from sweeps.store.lock import LOCK, locked
 from sweeps.store.opening import Store, open_store
+from sweeps.store.place import before_extension, place_of_new
 
 
 def create(path: Path, grid: Grid, made_by: Mapping[str, Any]) -> Store:
     """Make an empty store, with `made_by` among its attributes. Raises SweepError if it can't."""
+    path = place_of_new(path)
     refuse_existing(path)
     refuse_small_disk(path, grid, made_by["dtype"])
     partial, parent = partial_of(path), _existing_parent(path)
@@ -34,30 +36,36 @@ def create(path: Path, grid: Grid, made_by: Mapping[str, Any]) -> Store:
         for folder in path.absolute().parents:  # a power cut must not lose the new folders either
             if folder.is_relative_to(parent) and folder != path.absolute().parent:
                 sync(folder)
-    except OSError as error:
-        raise SweepError(f"{path}: can't be written: {error.strerror or error}") from None
+    except (OSError, LedgerError) as error:
+        for folder in path.absolute().parents:
+            if folder.is_relative_to(parent) and folder != parent:
+                with suppress(OSError):  # not made, or another process uses it
+                    folder.rmdir()
+        reason = getattr(error, "strerror", None) or error
+        raise SweepError(f"{path}: can't be written: {reason}") from None
     return open_store(path)
 
 
 def refuse_existing(path: Path) -> None:
     """Raise SweepError if a new store would replace something."""
+    outer = next((f for f in path.absolute().parents if os.path.isfile(f / "zarr.json")), None)
+    if outer:
+        raise SweepError(f"{path}: lies in the store {outer}; --out names another place")
     if path.exists() or path.is_symlink():
-        store = os.path.isfile(path / "zarr.json")
-        resume = f"`fic-sweep resume {path}` continues it, " if store else ""
+        try:
+            open_store(path)
+            resume = f"{command('resume', path)} continues it, "
+        except SweepError:  # it is something else
+            resume = ""
         raise SweepError(f"{path}: exists already; {resume}--out names another")
     if os.path.lexists(before_extension(path)):  # `recover` would delete it
-        resume = f"`fic-sweep resume {path}` finishes its extension, which was cut short"
+        resume = f"{command('resume', path)} finishes its extension, which was cut short"
         raise SweepError(f"{path}: {resume}; --out names another")
 
 
 def partial_of(path: Path) -> Path:
     """Where a store is built, before it gets its name."""
     return path.with_name(f".{path.name}{PARTIAL}")
-
-
-def before_extension(path: Path) -> Path:
-    """Where a store waits, until the extended one has its name."""
-    return path.with_name(f".{path.name}.before")
 
 
 def refuse_small_disk(path: Path, grid: Grid, dtype: str) -> None:

@@ -20,7 +20,6 @@ from sweeps.spec.types import Sweep
 from sweeps.store import fsync
 from sweeps.store.commit import Values, Writer, no_values, now, writing
 from sweeps.store.create import (
-    before_extension,
     building,
     partial_of,
     refuse_small_disk,
@@ -29,6 +28,7 @@ from sweeps.store.create import (
 from sweeps.store.format import DIVERGED, OK, attributes
 from sweeps.store.ledger import DONE, PARTLY, Row, intact
 from sweeps.store.opening import Store, open_store
+from sweeps.store.place import before_extension, place_of_store
 
 LONGEST_LIST = 100_000  # values of an axis that becomes a list: a store's record must stay small
 
@@ -70,6 +70,7 @@ def extend(store: Store, plan: Sweep, source: str) -> Store:
 
 def recover(path: Path) -> None:
     """Finish or undo an extension that a kill cut short: one whole store remains, as `path`."""
+    path = place_of_store(path)
     before = before_extension(path)
     if not os.path.isdir(before) or before.is_symlink():
         return

@@ -2,24 +2,24 @@
 
 import json
 import os
-import shlex
-from collections.abc import Iterator, Sequence
+import re
+import stat
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 import zarr
 
 from sweeps.plan.grid import Grid
-from sweeps.spec.mistakes import SweepError, printable
+from sweeps.spec.mistakes import SweepError, command, printable
 from sweeps.spec.overrides import override
 from sweeps.spec.reading import validate
 from sweeps.spec.types import Sweep
 from sweeps.store import format as store_format
 from sweeps.store.format import DEFINITION, DEFINITIONS, FORMAT, NOT_RUN, OK, STATUS, TRUSTED
-from sweeps.store.fsync import PARTIAL
 from sweeps.store.ledger import (
     DONE,
     LEDGER,
@@ -31,11 +31,16 @@ from sweeps.store.ledger import (
     Row,
     intact,
 )
+from sweeps.store.place import before_extension, place_of_store
 
 if TYPE_CHECKING:
     import xarray as xr
 
 LARGEST_RECORD = 20_000_000  # bytes of a store's zarr.json: a sweep file has at most a million
+NO_FILE = -1  # instead of a size
+_BLOCK = re.compile(r"c(\.\d+)*")  # the name of a block's file
+
+Entry = TypeVar("Entry")
 CODECS = {"bytes", "blosc", "crc32c", "vlen-utf8"}
 
 
@@ -84,12 +89,7 @@ class Store:
         """The ledger's rows of blocks. Raises SweepError if the ledger is damaged."""
         if self.ledger is None:
             return list(self._rows_of_format_1())
-        if not self.ledger.path.is_file():
-            raise self.damaged(f"{LEDGER} is missing")
-        try:
-            rows = list(self.ledger.rows())
-        except LedgerError as error:
-            raise self.damaged(f"{LEDGER} is damaged: {error}") from None
+        rows = self._read(self.ledger.rows)
         for row in rows:
             if not 0 <= row.block < self.grid.n_blocks or set(row.files) - set(self.variables):
                 raise self.damaged(f"{LEDGER} is damaged: it has a block {row.block}")
@@ -98,13 +98,11 @@ class Store:
     def check_definition(self) -> None:
         """Raise SweepError if this program computes metrics of another definition."""
         if self.definition != DEFINITION:
-            again = (
-                f"run {shlex.quote(str(self.path))} --out {self.grid.sweep.name}-{DEFINITION}.zarr"
-            )
+            out = Path(f"{self.grid.sweep.name}-{DEFINITION}.zarr")
             raise SweepError(
                 f"{self.path}: its metrics are {DEFINITIONS[self.definition]}, this program's are "
-                f"{DEFINITIONS[DEFINITION]}: it can't be continued; `fic-sweep {again}` runs its "
-                "sweep again"
+                f"{DEFINITIONS[DEFINITION]}: it can't be continued; "
+                f"{command('run', self.path, '--out', out)} runs its sweep again"
             )
 
     def sweep_again(self, overrides: Sequence[str] = ()) -> Sweep:
@@ -118,7 +116,8 @@ class Store:
 
     def damaged(self, what: str) -> SweepError:
         """The error for a store that changed since it was written."""
-        return SweepError(f"{self.path}: {what}; `fic-sweep verify {self.path} --repair` mends it")
+        repair = command("verify", self.path, "--repair")
+        return SweepError(f"{self.path}: {what}; {repair} mends it")
 
     def check_files(self) -> None:
         """Check that each file of a block with a row is a file of its recorded size.
@@ -131,28 +130,43 @@ class Store:
         rows = self.rows()
         # `status` first: a run writes it last, perhaps during this scan
         sizes = {name: _sizes(self.path / name) for name in reversed(self.variables)}
-        files = (file for row in rows for file in self.files(row))
+        files = [file for row in rows for file in self.files(row)]
         wrong = [f for f, known in files if sizes[f.parent.name].pop(f.name, -1) != known.size]
         if wrong:
             first = wrong[0].relative_to(self.path)
             more = f" and {len(wrong) - 1:,} more files" if len(wrong) > 1 else ""
             raise self.damaged(f"lacks {first}{more}, of finished blocks")
-        unfinished = sizes["status"].keys()  # blocks without a row
-        if not all(unfinished <= names.keys() for names in sizes.values()):
-            half = f"a power cut left blocks half written; `fic-sweep resume {self.path}`"
-            raise SweepError(f"{self.path}: {half} writes them")
+        rest = {(name, file) for name, found in sizes.items() for file in found}
+        if not rest:  # files of blocks without a row, or of nobody
+            return
+        done, variables = {row.block for row in rows}, self.variables
+        blocks = [i for i in range(self.grid.n_blocks) if i not in done]
+        for block in blocks:
+            file = self.file("status", block).name
+            there = [name for name in variables if (name, file) in rest]
+            for name in there:
+                if sizes[name][file] == NO_FILE:
+                    raise SweepError(f"{self.path / name / file}: is no file; remove it")
+            if "status" in there and len(there) < len(variables):
+                half = f"a power cut left blocks half written; {command('resume', self.path)}"
+                raise SweepError(f"{self.path}: {half} writes them")
 
     def check_metadata(self) -> None:
         """Raise SweepError if metadata or coordinates changed since they were written."""
         if self.ledger is None:
             return
-        try:
-            files = list(self.ledger.metadata())
-        except LedgerError as error:
-            raise self.damaged(f"{LEDGER}: {error}") from None
-        for file in files:
+        for file in self._read(self.ledger.metadata):
             if not as_written(self.path, file):
                 raise self.damaged(f"{file.path} is not as it was written")
+
+    def _read(self, query: Callable[[], Iterable[Entry]]) -> list[Entry]:
+        """Entries of the ledger. Raises SweepError if it is damaged."""
+        if not (self.path / LEDGER).is_file():
+            raise self.damaged(f"{LEDGER} is missing")
+        try:
+            return list(query())
+        except LedgerError as error:
+            raise self.damaged(f"{LEDGER} is damaged: {error}") from None
 
     @cached_property
     def _arrays(self) -> dict[str, zarr.Array[Any]]:
@@ -214,43 +228,88 @@ def open_store(path: Path) -> Store:
     The hash of the record is checked; the sweep was validated when the store was made. Raises
     SweepError if `path` is no store or is not as a run writes it.
     """
-    if not os.path.isfile(path / "zarr.json"):  # False also for a name that is too long
-        raise SweepError(f"{path}: is no result store (no zarr.json in it)")
+    path = place_of_store(path)
+    if reason := _no_store(path):
+        raise SweepError(f"{path}: {reason}")
     try:
-        if os.path.getsize(path / "zarr.json") > LARGEST_RECORD:
-            raise ValueError("its zarr.json is too large")
-        if "consolidated_metadata" not in json.loads((path / "zarr.json").read_bytes()):
-            raise ValueError("its metadata is not in one file")  # Zarr would scan the folders
-        group = zarr.open_group(path, mode="r", zarr_format=3)
-        attributes: dict[str, Any] = group.attrs.asdict()
-        written, record = attributes["format"], attributes["sweep"]
-        if written not in range(1, FORMAT + 1):
-            raise SweepError(f"{path}: has format {written}; this program reads up to {FORMAT}")
-        definition = attributes.get("metrics_definition", "samples")
-        if (definition == "samples") != (written < 3) or definition not in DEFINITIONS:
-            raise ValueError(f"format {written} with metrics of the definition {definition}")
-        if store_format.sha256(record) != attributes["sweep_sha256"]:
-            raise SweepError(f"{path}: its sweep record differs from the one that began it")
-        # the estimate is no part of the record, and the oldest stores have no attribute for it
-        estimate = bool(attributes.get("error_estimate"))
-        sweep = Sweep.model_validate(json.loads(record) | {"error_estimate": estimate})
-        chunk = int(str(attributes["block_cells"]))
-        if chunk < 1 or attributes["dtype"] not in ("float32", "float64"):
-            raise ValueError(f"block_cells {chunk}, dtype {attributes['dtype']}")
-        ledger = Ledger(path / LEDGER) if written > 1 else None
-        store = Store(path, Grid(sweep, chunk), group, ledger)
-        expected = list(store_format.arrays(store.grid, store.dtype, store.form))
+        store = _read(path)
     except SweepError:
         raise
+    except OSError as error:
+        raise SweepError(f"{path}: can't be read: {error.strerror or error}") from None
     except Exception as error:  # whatever zarr and pydantic raise for a foreign file
         reason = printable(" ".join(str(error).split())[:150])
-        raise SweepError(f"{path}: is no result store of fic-sweep ({reason})") from None
-    for array in expected:
-        if not _matches(store, array):
-            raise SweepError(f"{path}: its variable {array['name']} is not the one of its sweep")
-    if ledger is None and any(not plain(entry) for entry in path.rglob("*")):
+        if _can_be_restored(path):
+            reason += f"; {command('verify', path, '--repair')} restores its metadata"
+        raise SweepError(f"{path}: is no result store of fic-sweep: {reason}") from None
+    if store.ledger is None and any(not plain(entry) for entry in path.rglob("*")):
         raise SweepError(f"{path}: has a link in it; a store is one folder")
     return store
+
+
+def _read(path: Path) -> Store:
+    """The store that a zarr.json describes. Raises an error of any kind if it describes none."""
+    if os.path.getsize(path / "zarr.json") > LARGEST_RECORD:
+        raise ValueError("its zarr.json is too large")
+    if "consolidated_metadata" not in json.loads((path / "zarr.json").read_bytes()):
+        raise ValueError("its metadata is not in one file")  # Zarr would scan the folders
+    group = zarr.open_group(path, mode="r", zarr_format=3)
+    attributes: dict[str, Any] = group.attrs.asdict()
+    written, record = attributes["format"], attributes["sweep"]
+    if written not in range(1, FORMAT + 1):
+        raise SweepError(f"{path}: has format {written}; this program reads up to {FORMAT}")
+    definition = attributes.get("metrics_definition", "samples")
+    if (definition == "samples") != (written < 3) or definition not in DEFINITIONS:
+        raise ValueError(f"format {written} with metrics of the definition {definition}")
+    if store_format.sha256(record) != attributes["sweep_sha256"]:
+        raise ValueError("its sweep record differs from the one that began it")
+    # the estimate is no part of the record, and the oldest stores have no attribute for it
+    estimate = bool(attributes.get("error_estimate"))
+    sweep = Sweep.model_validate(json.loads(record) | {"error_estimate": estimate})
+    chunk = int(str(attributes["block_cells"]))
+    if chunk < 1 or attributes["dtype"] not in ("float32", "float64"):
+        raise ValueError(f"block_cells {chunk}, dtype {attributes['dtype']}")
+    ledger = Ledger(path / LEDGER) if written > 1 else None
+    store = Store(path, Grid(sweep, chunk), group, ledger)
+    for array in store_format.arrays(store.grid, store.dtype, store.form):
+        if not _matches(store, array):
+            raise ValueError(f"its variable {array['name']} is not the one of its sweep")
+    return store
+
+
+EXPORTED = (".nc", ".csv", ".parquet")  # suffixes of `fic-sweep export`
+
+
+def _no_store(path: Path) -> str:
+    """Why a path is no store, and what helps; empty if it has a zarr.json."""
+    try:
+        if stat.S_ISREG(os.stat(path / "zarr.json").st_mode):
+            return ""
+        why = "its zarr.json is no file"
+    except NotADirectoryError:
+        why = "it is a file, and a store is a folder"
+        if path.suffix == ".toml":
+            why = f"it is a sweep file; {command('run', path)} makes a store of it"
+        elif path.suffix in EXPORTED:
+            why = "it is an exported file; name the store that it was made from, a folder"
+    except FileNotFoundError:
+        why = "there is nothing of this name"
+        if os.path.isdir(path):
+            inside = ", ".join(sorted(str(file.parent) for file in path.glob("*/zarr.json")))
+            why = f"it has no zarr.json{inside and f'; in it are the stores {inside[:200]}'}"
+        elif os.path.isdir(before_extension(path)):
+            why = f"its extension was cut short; {command('resume', path)} finishes it"
+    except OSError as error:  # no permission, a name that is too long, a loop of links
+        return f"can't be read: {error.strerror}"
+    if _can_be_restored(path):
+        why = f"its zarr.json is lost; {command('verify', path, '--repair')} restores it"
+    return f"is no result store: {why}"
+
+
+def _can_be_restored(path: Path) -> bool:
+    """Whether the ledger has another zarr.json than the one in place."""
+    _, files = Ledger(path / LEDGER).undamaged()
+    return any(f.path == "zarr.json" and f.content and not as_written(path, f) for f in files)
 
 
 def _matches(store: Store, expected: dict[str, Any]) -> bool:
@@ -296,15 +355,17 @@ def plain(entry: Path) -> bool:
 
 
 def _sizes(folder: Path) -> dict[str, int]:
-    """Size of each file in a folder. Raises SweepError for what is no file: a FIFO would block."""
+    """Size of each block's file in a folder; NO_FILE for a link, or a FIFO, which would block.
+
+    Other names are of nobody: a desktop, a file server or a backup leaves files anywhere.
+    """
     sizes = {}
     try:
         with os.scandir(folder) as entries:
             for entry in entries:
-                if not entry.is_file(follow_symlinks=False):
-                    raise SweepError(f"{entry.path}: is no file, as all of a store is")
-                if not entry.name.endswith(PARTIAL):
-                    sizes[entry.name] = entry.stat().st_size
+                if _BLOCK.fullmatch(entry.name):
+                    plain = entry.is_file(follow_symlinks=False)
+                    sizes[entry.name] = entry.stat().st_size if plain else NO_FILE
     except OSError:  # missing, or another process just renames it
         return {}
     return sizes
@@ -317,7 +378,7 @@ def dataset(path: Path) -> "xr.Dataset":
     store = open_store(path)
     store.check_metadata()
     store.check_files()
-    data = xr.open_zarr(path, chunks=None)[store.variables]
+    data = xr.open_zarr(store.path, chunks=None)[store.variables]
     # older stores do not say it all
     says = store_format.attributes(store.grid)
     meaning = {"metrics_definition_meaning": DEFINITIONS[store.definition]}

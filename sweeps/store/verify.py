@@ -17,6 +17,7 @@ from sweeps.store.create import write_empty
 from sweeps.store.ledger import CHECKSUM, LEDGER, Ledger, LedgerError, MetadataFile, Row, intact
 from sweeps.store.lock import LOCK, locked
 from sweeps.store.opening import Store, as_written, open_store, plain
+from sweeps.store.place import place_of_store
 
 OWN = {LEDGER, f"{LEDGER}-journal", CHECKSUM, LOCK}
 
@@ -56,6 +57,7 @@ def verify(path: Path) -> Report:
 
     Raises SweepError if `path` is no store, or one of a format without a ledger.
     """
+    path = place_of_store(path)
     ledger = _ledger_of(path)
     problems = list(_ledger_problems(ledger))
     damaged = bool(problems)
@@ -84,6 +86,7 @@ def repair_metadata(path: Path) -> None:
     The good rows of a damaged ledger stay; a block whose row is lost must run again. Raises
     SweepError if too much is lost, OSError.
     """
+    path = place_of_store(path)
     ledger = _ledger_of(path)
     with locked(path), tempfile.TemporaryDirectory() as folder:
         rows, files = ledger.undamaged()

@@ -24,7 +24,7 @@ WRONG = [
     (["run", "none.zarr"], "none.zarr: is no file and no sweep of the library"),
     (["run"], "Missing argument"),
     (["run", "tiny.toml", "--out", "x" * 300], "xxx: File name too long"),
-    (["status", "x" * 300], "xxx: is no result store"),
+    (["status", "x" * 300], "xxx: can't be read: File name too long"),
     (["dance"], "No such command 'dance'"),
     (["resume", "tiny.zarr"], "tiny.zarr: is no result store"),
     (["status", "tiny.toml"], "tiny.toml: is no result store"),

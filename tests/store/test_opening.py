@@ -300,7 +300,7 @@ REFUSED = {  # by every command, with these words
     "no zarr.json": (replaced("zarr.json", gone), NO_STORE),
     "FIFO zarr.json": (replaced("zarr.json", fifo), NO_STORE),
     "device zarr.json": (replaced("zarr.json", device), NO_STORE),
-    "loop zarr.json": (replaced("zarr.json", loop), NO_STORE),
+    "loop zarr.json": (replaced("zarr.json", loop), "can't be read: Too many levels"),
     "folder zarr.json": (replaced("zarr.json", folder), NO_STORE),
     "linked array": (moved("nmse"), IS_NOT),
     "linked coordinate": (moved("Td"), IS_NOT),
