@@ -73,9 +73,8 @@ def test_a_store_is_no_sweep_file(ran, arguments):
 
 
 def test_a_dry_run_that_run_would_refuse_is_refused_after_the_plan(folder):
-    (folder / "big.toml").write_text(
-        'name = "big"\n[axes]\nK0 = { log = [1, 9], n = 1000000 }\nKenv = { log = [1, 9], n = 99999 }'
-    )
+    axes = "K0 = { log = [1, 9], n = 1000000 }\nKenv = { log = [1, 9], n = 99999 }"
+    (folder / "big.toml").write_text(f'name = "big"\n[axes]\n{axes}')
     ended = typed("run", "big.toml", "--dry-run")
     assert ended.code == 2
     assert "= 99,999,000,000 scenarios" in ended.stdout and " on disk" in ended.stdout
