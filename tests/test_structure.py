@@ -50,7 +50,7 @@ ROOMS = {
     "sweeps.store": STORE,
     "sweeps.processor": set(),
     "sweeps.compile_cache": {"sweeps.processor"},
-    "sweeps.provenance": {"fic_jax", "sweeps"},  # sweeps: where the sources are
+    "sweeps.provenance": {*SPEC, "sweeps"},  # sweeps: where the sources are
     "sweeps.runner": RUNNER,
     "sweeps.export": STORE,
     "sweeps.paper": {*RUNNER, "sweeps.paper", "sweeps"},  # sweeps: where its library is
