@@ -1,18 +1,24 @@
 """Figures of stored sweeps. A figure is a pure function of a Dataset; only `main` reads and saves.
 
-- `planes`: cuts the plane of a heatmap out of a store
-- `heatmap`: draws one plane (`plot`) or a row of planes under one colour scale (`panels`)
-- `hatch`: marks the cells without a value and those that are not trusted
+- `cut`: takes a part of a store: some dimensions drawn, the others fixed; what each cell is
+- `planes`: two dimensions; `heatmap` draws one plane or a row (`panels`) under one colour scale
+- `points`: one dimension, as a line or as dots
+- `choose`: which of them a request names
+- `ticks`, `colours`, `border`, `hatch`, `caption`: parts of these pictures, and their words
+- `history`: time histories of named cells
 - `style`: sizes, symbols, colours, number formats, and `save`
 - `overview`: the pictures of `make sweep`; `precision`: float32 beside float64
-- `report` and the files named after findings: the pictures of `fic-sweep report`
-- `maps`, `finding`: what those share; `paper`: the paper's own figures
+- `report`, `findings`: the pictures of `fic-sweep report`; `paper`: the paper's own figures
 
-`fic-sweep plot` is `save(plot(dataset(path), ...))`: Dataset -> Plane -> Figure -> file.
+`fic-sweep plot` is `save(draw(choose(dataset(path), ...)), file)`: Dataset -> Plane or Points ->
+Figure -> file.
 """
 
-from figures.heatmap import panels, plot
-from figures.planes import Plane, PlotError, select
+from figures.choose import choose, draw, plot
+from figures.cut import PlotError
+from figures.heatmap import panels
+from figures.planes import Plane, select
+from figures.points import Points
 from figures.style import save
 
-__all__ = ["Plane", "PlotError", "panels", "plot", "save", "select"]
+__all__ = ["Plane", "PlotError", "Points", "choose", "draw", "panels", "plot", "save", "select"]

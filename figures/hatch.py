@@ -1,6 +1,6 @@
 """Hatches under and over the colours of a heatmap, and the legend that names them."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from matplotlib.path import Path
 from numpy.typing import NDArray
 
 from figures import style
+from figures.cut import Cells as Of
 from figures.planes import Plane
 
 INFINITE = {
@@ -34,6 +35,7 @@ _OVERLAY: tuple[dict[str, Any], ...] = tuple(
     for ink, width in (("white", 1.0), ("black", 0.4))
 )
 
+Handle = Artist | tuple[Artist, ...]  # of the legend
 Edges = NDArray[np.float64]
 Cells = NDArray[np.bool_]
 
@@ -93,24 +95,46 @@ def _look(key: str) -> dict[str, Any]:
     }
 
 
-def legend_entries(planes: Sequence[Plane]) -> dict[str, tuple[Patch, ...]]:
+def bands(edges: Edges, special: Mapping[str, Cells]) -> Iterator[tuple[Path, dict[str, Any]]]:
+    """Path and look of a band for each reason why places along an axis have no value.
+
+    A band is from 0 to 1 across the axis.
+    """
+    for key, cells in special.items():
+        yield _path(cells[None, :], edges, np.array([0.0, 1.0])), _look(key)
+
+
+def legend_entries(parts: Sequence[Of]) -> dict[str, Handle]:
     """Text -> hatched box, for each hatch in the planes; the text has its share of each panel."""
-    metric = planes[0].metric
-    words = {"not run": "not run yet", "infinite": INFINITE.get(metric, "infinite")}
-    entries: dict[str, tuple[Patch, ...]] = {}
-    for key in style.HATCHES:
-        cells = [plane.special.get(key, np.zeros(1, bool)) for plane in planes]
-        if any(panel.any() for panel in cells):
-            text = f"{words.get(key, key)} ({_shares(cells)})"
-            entries[text] = (Patch(**_look(key) | {"linewidth": 0.5, "edgecolor": "black"}),)
-    untrusted = [plane.untrusted for plane in planes]
-    if any(panel is not None and panel.any() for panel in untrusted):
-        bounds = dict.fromkeys(plane.trust_bound for plane in planes if plane.trust_bound)
-        bound = f"error > {' or '.join(bounds)}"
+    entries = special_entries(parts)
+    if any(part.untrusted is not None and part.untrusted.any() for part in parts):
         box = Patch(facecolor="0.75", edgecolor="black", linewidth=0.5)
-        hatches = (Patch(**look) for look in _OVERLAY)
-        entries[f"not trusted: {bound} ({_shares(untrusted)})"] = (box, *hatches)
+        entries[doubt_text(parts)] = (box, *(Patch(**look) for look in _OVERLAY))
     return entries
+
+
+def special_entries(parts: Sequence[Of]) -> dict[str, Handle]:
+    """Text -> hatched box, for each reason why cells have no value."""
+    edged = {"linewidth": 0.5, "edgecolor": "black"}
+    return {
+        special_text(key, parts): (Patch(**_look(key) | edged),)
+        for key in style.HATCHES
+        if any(key in part.special for part in parts)
+    }
+
+
+def special_text(key: str, parts: Sequence[Of]) -> str:
+    """Why cells have no value, with their share of each panel."""
+    words = {"not run": "not run yet", "infinite": INFINITE.get(parts[0].metric, "infinite")}
+    cells = [part.special.get(key, np.zeros(1, bool)) for part in parts]
+    return f"{words.get(key, key)} ({_shares(cells)})"
+
+
+def doubt_text(parts: Sequence[Of]) -> str:
+    """When a cell is not trusted, with the share of each panel."""
+    bounds = dict.fromkeys(part.trust_bound for part in parts if part.trust_bound)
+    error = f"error > {' or '.join(bounds)}"
+    return f"not trusted: {error} ({_shares([part.untrusted for part in parts])})"
 
 
 def legend_columns(entries: Iterable[str], width: float) -> int:
@@ -129,18 +153,24 @@ def _shares(panels: Sequence[Cells | None]) -> str:
 
 
 def legend(
-    fig: Figure, entries: dict[str, tuple[Patch, ...]], columns: int, panels_drawn: int
+    fig: Figure, entries: Mapping[str, Handle], columns: int, held: str, panels_drawn: int
 ) -> None:
-    """Draw the legend below the axes, where it covers no data."""
-    handles: list[Artist | tuple[Artist, ...]] = list(entries.values())
-    fig.legend(
-        handles=handles,
-        labels=list(entries),
+    """Draw the legend below the axes, where it covers no data, under what the picture holds."""
+    shares = any(isinstance(handle, tuple) for handle in entries.values())
+    lines = [held] if held else []
+    lines += ["share of cells per panel, left to right"] if shares and panels_drawn > 1 else []
+    if not (entries or lines):
+        return
+    handles: list[Any] = list(entries.values())
+    drawn = fig.legend(
+        handles,
+        list(entries),
         handler_map={tuple: HandlerTuple(ndivide=1, pad=0)},
         loc="outside lower center",
-        ncols=min(columns, len(entries)),
-        title="share of cells per panel, left to right" if panels_drawn > 1 else None,
+        ncols=max(min(columns, len(entries)), 1),
+        title="\n".join(lines) or None,
         frameon=False,
         handlelength=2.2,
         handleheight=1.3,
     )
+    drawn.get_title().set_multialignment("center")

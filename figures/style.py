@@ -3,15 +3,18 @@
 import math
 import os
 import textwrap
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from matplotlib import rc_context
+from matplotlib import rc_context, rcdefaults, rcParams
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
+from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.textpath import TextPath
 
 COLUMN_WIDTH = 3.5  # inch, one column of a two-column paper
@@ -46,7 +49,21 @@ RC: dict[Any, Any] = {  # Any: matplotlib types its keys as 300 literals
     "ytick.direction": "out",
     "hatch.linewidth": 0.5,
     "mathtext.fontset": "dejavusans",
+    "svg.hashsalt": "fic_jax",
 }
+
+
+@contextmanager
+def look() -> Iterator[None]:
+    """Draw with matplotlib's defaults and RC, whatever the user's matplotlibrc or style says.
+
+    Text, axes and legends read most settings when they are made, and the rest when they are drawn.
+    """
+    with rc_context():
+        rcdefaults()
+        rcParams.update(RC)
+        yield
+
 
 SYMBOLS = {
     "K0": r"$K_0$",
@@ -64,6 +81,12 @@ SYMBOLS = {
     "gap": "gap",  # no symbol in the paper either
     "x_init": r"$x(0)$",
     "v_init": r"$\dot{x}(0)$",
+}
+
+WORDS = {  # choices of the model; the others are words
+    "algorithm1": "Algorithm 1",
+    "rk4": "RK4, switches smeared",
+    "rk4_events": "RK4, switches located",
 }
 
 SEQUENTIAL = "viridis"
@@ -92,7 +115,18 @@ HATCHES = {
 }
 
 
+# Dark edges make a line over a map seen on every colour.
+EDGED: list[AbstractPathEffect] = [withStroke(linewidth=2.4, foreground="0.15")]
+
+# The markers of points without a value: no value of the metric has one of them.
+MARKS = {"not run": ".", "diverged": "x", "failed": "+", "infinite": "^", "no value": "1"}
+
 UNTRUSTED = 4 * "\\"  # the hatch over the colour of a cell that is not trusted
+
+
+def words(choice: str) -> str:
+    """A choice of the model as it is written in a sentence."""
+    return WORDS.get(choice, choice.replace("_", " "))
 
 
 def units_text(units: str) -> str:
@@ -100,9 +134,9 @@ def units_text(units: str) -> str:
     return "" if units in ("", "1") else units.replace("*", "·").replace("^2", "²")
 
 
-def number(value: float) -> str:
-    """Four significant digits, with a power of ten if plain digits would be long."""
-    text = f"{value:.4g}"
+def number(value: float, digits: int = 4) -> str:
+    """A number with some significant digits; a power of ten if plain digits would be long."""
+    text = f"{value:.{digits}g}"
     if "e" not in text:
         return text.replace("-", "−")
     mantissa, exponent = text.split("e")
@@ -168,12 +202,18 @@ UNDATED: dict[str, dict[str, Any]] = {
 def save(fig: Figure, path: str | os.PathLike[str]) -> None:
     """Write a PNG (200 dpi), PDF or SVG; the same figure gives the same bytes at any time.
 
-    Raises ValueError for another suffix.
+    The file has its name once it is whole. Raises ValueError for another suffix.
     """
-    suffix = Path(path).suffix.lower()
+    path = Path(path)
+    suffix = path.suffix.lower()
     if suffix not in UNDATED:
         raise ValueError(f"a picture ends in {', '.join(UNDATED)}, not in '{suffix}'")
-    with rc_context(RC | {"svg.hashsalt": "fic_jax"}):
-        FigureCanvasAgg(fig).print_figure(
-            path, format=suffix[1:], dpi=200, bbox_inches="tight", metadata=UNDATED[suffix]
-        )
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        with look():
+            FigureCanvasAgg(fig).print_figure(
+                partial, format=suffix[1:], dpi=200, bbox_inches="tight", metadata=UNDATED[suffix]
+            )
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)

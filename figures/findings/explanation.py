@@ -2,7 +2,6 @@
 
 import numpy as np
 import xarray as xr
-from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from figures import style
@@ -16,7 +15,7 @@ def plot(data: xr.Dataset) -> Figure:
     best = str(best_of_each(data)["reading"].values[0])
     ids = [str(id) for id in data["claim"].values]
     at = np.arange(len(ids))
-    with rc_context(style.RC):
+    with style.look():
         fig = Figure(figsize=(style.COLUMN_WIDTH, 2.6))
         ax = fig.subplots()
         most = 100 * data["score"].max("reading").values

@@ -1,7 +1,6 @@
 """Where the loop limit-cycles, measured, with the boundaries of the formulas; and the stripe."""
 
 import xarray as xr
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
@@ -19,7 +18,7 @@ LAWS = {"algorithm1": ("#0072B2", "-"), "effort": ("#D55E00", "--")}
 def plot(data: xr.Dataset) -> Figure:
     """A row of maps for each contact, then nmse_tail along K0 through the stripe."""
     readings = [name for name in READINGS if name in data["reading"].values]
-    with rc_context(style.RC):
+    with style.look():
         fig = Figure(figsize=(style.PAGE_WIDTH, 1.5 + 1.75 * len(readings)))
         maps, below = rows(fig, (1.55 * len(readings), 1.0))
         grid = maps.subplots(len(readings), data.sizes["map"], squeeze=False, sharex=True)

@@ -8,9 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure, SubFigure
-from matplotlib.patheffects import AbstractPathEffect, withStroke
 from numpy.typing import NDArray
 
+from figures import style
 from figures.paper.look import label
 
 # Below and above an even 0: blue and orange stay apart for colour-blind readers; here 0 is white,
@@ -18,8 +18,6 @@ from figures.paper.look import label
 CHANGE = LinearSegmentedColormap.from_list(
     "change", ["#0a2463", "#3f6fb5", "#b9cde5", "#ffffff", "#f6d3a5", "#d9822b", "#7a3b00"]
 )
-
-EDGED: list[AbstractPathEffect] = [withStroke(linewidth=2.4, foreground="0.15")]
 
 
 def rows(fig: Figure, heights: tuple[float, ...]) -> list[SubFigure]:
@@ -54,7 +52,7 @@ def cells(
 
 def over(ax: Axes, x: NDArray[Any], y: NDArray[Any], color: str = "white", **kind: Any) -> None:
     """A line over a map: dark edges make it seen on every colour."""
-    ax.plot(x, y, color=color, lw=1.2, path_effects=EDGED, **kind)
+    ax.plot(x, y, color=color, lw=1.2, path_effects=style.EDGED, **kind)
 
 
 def contour(
@@ -69,5 +67,5 @@ def contour(
 ) -> None:
     """A contour of `values[y, x]` over a map, named in the legend."""
     lines = ax.contour(x, y, values, [level], colors=color, linewidths=1.2, linestyles=ls)
-    lines.set_path_effects(EDGED)
+    lines.set_path_effects(style.EDGED)
     over(ax, np.array([]), np.array([]), color=color, ls=ls, label=label)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import xarray as xr
-from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from figures import style
@@ -11,7 +10,7 @@ from figures.paper import look
 
 def plot(data: xr.Dataset) -> Figure:
     """|x| over time for each ratio of the stiffnesses, and the derived growth while linear."""
-    with rc_context(style.RC):
+    with style.look():
         fig = Figure(figsize=(style.COLUMN_WIDTH, 2.6))
         ax = fig.subplots()
         t, x0 = data["t"].values, data.attrs["x0"]

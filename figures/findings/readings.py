@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.colors import Normalize
@@ -26,7 +25,7 @@ ROW = 0.13  # inches
 def plot(data: xr.Dataset) -> Figure:
     """The best reading of each way to run the studies and each meaning of x~, and the default."""
     shown = best_of_each(data)
-    with rc_context(style.RC):
+    with style.look():
         height = 1.1 + ROW * shown.sizes["reading"]
         fig = Figure(figsize=(style.PAGE_WIDTH, height))
         ax = fig.subplots()

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib import rc_context
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
@@ -20,7 +19,7 @@ CHANGE_LABEL = "change of nmse, last 5 s\n(decades, median)"
 
 def plot(data: xr.Dataset) -> Figure:
     """Over K0: the median change of nmse_tail in decades, and the share of cells where it grows."""
-    with rc_context(style.RC):
+    with style.look():
         fig = Figure(figsize=(style.PAGE_WIDTH, 4.1))
         grid = fig.subplots(2, len(PLANES), sharex=True)
         kinds: tuple[tuple[str, str, dict[str, Any]], ...] = (

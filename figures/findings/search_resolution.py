@@ -1,7 +1,6 @@
 """The best search resolution over the environment's stiffness and damping, and what it gains."""
 
 import xarray as xr
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
@@ -19,7 +18,7 @@ LEAST_TOP = 1000.0  # times the best nmse, top of the lower colour bar
 def plot(data: xr.Dataset) -> Figure:
     """Above the sigma of the least nmse, below how many times larger nmse is at 0.01."""
     shown = [K0 for K0 in STIFFNESSES if K0 in data["K0"].values]
-    with rc_context(style.RC):
+    with style.look():
         fig = Figure(figsize=(style.PAGE_WIDTH, 3.9))
         grid = fig.subplots(2, len(shown), sharex=True, sharey=True, squeeze=False)
         for column, K0 in zip(grid.T, shown, strict=True):

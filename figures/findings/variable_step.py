@@ -2,7 +2,6 @@
 
 import numpy as np
 import xarray as xr
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.colors import LogNorm
@@ -26,7 +25,7 @@ TOP = 9.0  # N*m; the impact's spike is cut off, what lasts is the matter
 
 def plot(data: xr.Dataset) -> Figure:
     """Two maps of nmse_tail with the lines of the loop, over four histories of the torque."""
-    with rc_context(style.RC):
+    with style.look():
         fig = Figure(figsize=(style.PAGE_WIDTH, 4.9))
         upper, lower = rows(fig, (1.25, 1.0))
         maps = upper.subplots(1, len(data["contact"]), sharey=True, squeeze=False)[0]

@@ -7,7 +7,6 @@ from typing import Any
 import jax
 import numpy as np
 import xarray as xr
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -49,7 +48,7 @@ def simulate(
 def plot(data: xr.Dataset) -> Figure:
     """The rate of the error over the error x~, with the reference's surroundings enlarged."""
     shown = data.isel(path=np.flatnonzero(abs(data["e"]).max("t") <= LARGEST_PEAK))
-    with rc_context(style.RC):
+    with style.look():
         fig = Figure(figsize=(style.COLUMN_WIDTH, 3.0))
         ax = fig.subplots()
         near = _inset(ax)

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -85,7 +84,7 @@ def sign_change(data: Energies) -> float:
 
 def plot(data: Energies) -> Figure:
     """Both energies over the peak error, and below them their difference, shaded by its sign."""
-    with rc_context(style.RC):
+    with style.look():
         fig = Figure(figsize=(style.COLUMN_WIDTH, 3.9))
         above, below = fig.subplots(2, 1)
         _lines(above, data, np.zeros_like(data.e_M))

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -42,7 +41,7 @@ def simulate(step: float) -> tuple[xr.Dataset, ...]:
 
 def plot(data: tuple[xr.Dataset, ...]) -> Figure:
     """A panel for each study on one logarithmic scale; whole run filled, last 5 s a ring."""
-    with rc_context(style.RC):
+    with style.look():
         fig = Figure(figsize=(style.COLUMN_WIDTH, 2.9))
         panels = fig.subplots(1, len(data), sharey=True, squeeze=False)[0]
         for ax, study in zip(panels, data, strict=True):

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import xarray as xr
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -44,7 +43,7 @@ def plot(data: xr.Dataset) -> Figure:
     """
     field = next(str(name) for name in data["tau_env"].dims if name not in ("Td", "time"))
     columns = data["Td"].values
-    with rc_context(style.RC):
+    with style.look():
         width = style.PAGE_WIDTH if columns.size > 1 else style.COLUMN_WIDTH
         fig = Figure(figsize=(width, 4.6))
         grid = fig.subplots(3, columns.size, sharex=True, squeeze=False)

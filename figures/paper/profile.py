@@ -7,7 +7,6 @@ from typing import Any
 import jax
 import numpy as np
 import xarray as xr
-from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from fic_jax import Params, force
@@ -29,7 +28,7 @@ def compute(stiffnesses: tuple[float, ...] = look.STIFFNESSES, n: int = 6001) ->
 
 def plot(data: xr.Dataset, params: Params = look.PAPER) -> Figure:
     """The profile for each K0, and what it lacks to Fmax between x0 and xb."""
-    with rc_context(style.RC):
+    with style.look():
         fig = Figure(figsize=(style.COLUMN_WIDTH, 3.9))
         above, below = fig.subplots(2, 1)
         for K0, colour, dashes in zip(

@@ -7,7 +7,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -81,7 +80,7 @@ def broken(branch: Branch) -> tuple[float, float]:
 
 def plot(data: tuple[Switches, ...]) -> Figure:
     """Torque over the error, a panel for each law; the jump at each switch is a number."""
-    with rc_context(style.RC):
+    with style.look():
         fig = Figure(figsize=(style.PAGE_WIDTH, 2.6))
         panels = fig.subplots(1, len(data), sharex=True, sharey=True, squeeze=False)[0]
         for ax, law in zip(panels, data, strict=True):

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -39,7 +38,7 @@ def simulate(step: float) -> xr.Dataset:
 def plot(data: xr.Dataset) -> Figure:
     """nmse above, nmse_tail below; both columns share the logarithmic scales."""
     columns = list(TITLES)
-    with rc_context(style.RC):
+    with style.look():
         fig = Figure(figsize=(style.PAGE_WIDTH, 4.2))
         shape: dict[str, Any] = {"squeeze": False, "height_ratios": (1.0, 1.5)}
         grid = fig.subplots(len(ROWS), len(columns), sharex=True, sharey="row", **shape)

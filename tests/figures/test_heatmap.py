@@ -9,7 +9,7 @@ import xarray as xr
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import QuadMesh
+from matplotlib.collections import LineCollection, QuadMesh
 from matplotlib.colors import LogNorm, to_rgb
 from matplotlib.figure import Figure
 
@@ -141,7 +141,7 @@ def test_short_axes_are_ticked_at_their_values_and_cells_carry_numbers(paper):
     assert [text.get_text() for text in axes.get_xticklabels()] == ["1", "5", "10", "20"]
     assert [text.get_text() for text in axes.get_yticklabels()] == ["0.1", "1", "10", "100", "1000"]
     assert len(axes.texts) == 20
-    assert axes.texts[0].get_text() == "1.0e-5"
+    assert axes.texts[0].get_text() == "1e-5"
 
 
 @pytest.mark.parametrize("place", [0, -1])
@@ -155,7 +155,7 @@ def test_cell_numbers_contrast_with_their_cell(paper, place):
 
 def test_strings_and_whole_numbers_are_categories(paper):
     axes = panel(plot(paper, x="contact", y="Td"))
-    assert [text.get_text() for text in axes.get_xticklabels()] == ["welded", "hard_stop"]
+    assert [text.get_text() for text in axes.get_xticklabels()] == ["welded", "hard stop"]
     cases = panel(plot(dataset(case=[3, 7, 40], Td=[1.0, 2.0]), x="case", y="Td"))
     assert cases.get_xlim() == (-0.5, 2.5)
     assert [text.get_text() for text in cases.get_xticklabels()] == ["3", "7", "40"]
@@ -264,6 +264,8 @@ def test_panels_of_different_metrics_are_refused(atlas):
     [
         ({"metric": "nsme"}, "no metric 'nsme'. Did you mean 'nmse'.*There are: nmse, conv"),
         ({"metric": "status"}, "no metric 'status'"),
+        ({"at": {"Fmax": 5}}, "'Fmax' does not vary here: it is 15 N[*]m. There are: Td, K0"),
+        ({"x": "contact"}, "'contact' does not vary here: it is hard_stop. There are: Td, K0"),
         ({"x": "kenv"}, "no dimension 'kenv'. Did you mean 'Kenv'.*There are: Td, K0, Kenv"),
         ({"y": "Kenv"}, "both are 'Kenv'"),
         ({"at": {"K0": 5}}, "'K0' is drawn as an axis; `at` cannot fix it too"),
@@ -274,6 +276,7 @@ def test_panels_of_different_metrics_are_refused(atlas):
     ],
 )
 def test_a_wrong_request_gets_one_clear_line(atlas, request_, message):
+    atlas.attrs["sweep"] = json.dumps(RECORD)
     with pytest.raises(PlotError, match=message) as caught:
         plot(atlas, **({"x": "Kenv", "y": "K0"} | request_))
     assert "\n" not in str(caught.value)
@@ -345,12 +348,88 @@ def test_the_same_figure_is_saved_as_the_same_bytes(tmp_path, paper):
     assert b"Software" not in first
 
 
-def test_the_title_states_the_constants_of_the_sweep(atlas):
-    record = {"constants": {"sigma": 0.02, "Denv": 63.2}, "model": {"contact": "welded"}}
-    atlas.attrs["sweep"] = json.dumps(record)
-    shown = title(plot(atlas, x="Kenv", y="K0")).replace("\n", " ")
-    for text in (r"$\sigma$ = 0.02", "$D_{env}$ = 63.2 N·m·s/rad", "contact = welded"):
+RECORD = {
+    "constants": {"sigma": 0.02, "Denv": 63.2},
+    "model": {"contact": "hard_stop", "integrator": "rk4_events"},
+    "time": {"dt": 0.001, "t_end": 10.0},
+}
+
+
+def held(figure: Figure) -> str:
+    (box,) = figure.legends
+    return box.get_title().get_text().replace("\n", " ")
+
+
+def test_a_picture_states_all_that_the_sweep_holds_constant(atlas):
+    """What nobody named too: a reader can't know that Fmax is 15, or that the period is 10 ms."""
+    atlas.attrs |= {"sweep": json.dumps(RECORD), "description": "An atlas of a few cells"}
+    figure = plot(atlas, x="Kenv", y="K0")
+    shown, default = held(figure).split("by default ")
+    for text in (r"$\sigma$ = 0.02", "$D_{env}$ = 63.2 N·m·s/rad", "dt = 0.001 s", "t_end = 10 s"):
         assert text in shown
+    for text in ("$F_{Max}$ = 15 N·m", "$I$ = 10 kg·m²", "control period = 0.01 s", "gap, "):
+        assert text in default
+    assert "$K_0$" not in held(figure) and "$T_d$" not in held(figure)  # drawn, and in the title
+    assert title(figure).splitlines() == ["An atlas of a few cells", "hard stop, $T_d$ = 5 N·m"]
+
+
+def test_panels_hold_what_all_share_and_each_title_has_its_own(atlas):
+    other = RECORD | {"constants": {"sigma": 0.01, "Denv": 63.2}}
+    sweeps = [atlas.assign_attrs(sweep=json.dumps(record)) for record in (RECORD, other)]
+    figure = panels([("", select(data, x="Kenv", y="K0")) for data in sweeps])
+    titles = [axes.get_title() for axes in figure.axes[:2]]
+    assert titles == [r"$\sigma$ = 0.02", r"$\sigma$ = 0.01"]
+    assert r"\sigma" not in held(figure) and "$F_{Max}$ = 15" in held(figure)
+
+
+@pytest.mark.parametrize("n", [3, 41])
+def test_ticks_and_titles_tell_neighbours_apart(n):
+    """K0 from 1000 to 1000.5 had ticks 1000, 1000, 1000 and a cut at 1000.25 the title 1000."""
+    data = dataset(K0=np.linspace(1000, 1000.5, n), Kenv=[50.0, 100.0], Td=[1.0, 5.0])
+    axes = panel(plot(data, x="Kenv", y="K0"))
+    for drawn in (axes, panel(plot(data, x="K0", y="Kenv"))):
+        side = drawn.xaxis if drawn is not axes else drawn.yaxis
+        labels = [text.get_text() for text in side.get_ticklabels() if text.get_text()]
+        assert len(set(labels)) == len(labels) > 1
+        assert [float(label) for label in labels] == pytest.approx(
+            [place for place in side.get_ticklocs() if 1000 <= place <= 1000.5], abs=1e-9
+        )
+    assert "$K_0$ = 1000.25 N" in title(plot(data, x="Kenv", y="Td", at={"K0": 1000.25}))
+
+
+def test_a_log_axis_of_less_than_a_decade_has_ticks():
+    data = dataset(K0=np.geomspace(2.1, 4.7, 9), Td=[1.0, 5.0])
+    assert len(panel(plot(data, x="K0", y="Td")).get_xticks()) > 1
+
+
+def borders(axes: Axes) -> np.ndarray:
+    return next(c for c in axes.collections if isinstance(c, LineCollection)).get_segments()
+
+
+def test_a_line_parts_the_cells_on_either_side_of_nmse_001(atlas):
+    atlas.nmse[1] = np.where(np.add.outer(np.arange(16), np.arange(12)) < 9, 0.004, 0.02)
+    atlas.nmse[1, 0, 0] = 0.01
+    atlas.status[1, 8, 0] = 2  # diverged: no value, and so no side of it is a border
+    figure = plot(atlas, x="Kenv", y="K0", at={"Td": 5})
+    assert "nmse = 0.01" in legend(figure)
+    corners = mesh(panel(figure)).get_coordinates()
+    ends = {tuple(np.round(point, 6)) for side in borders(panel(figure)) for point in side}
+    assert tuple(np.round(corners[8, 1], 6)) in ends  # between (K0 7, Kenv 1) and (8, 1)
+    assert len(borders(panel(figure))) == 2 * 9 - 1 - 1  # a staircase, less the diverged cell's
+    assert [line.get_ydata()[0] for line in figure.axes[1].lines] == [0.01]
+
+
+def test_a_line_parts_what_converges_from_what_does_not(atlas):
+    atlas.convergence_time[1, :4] = np.inf
+    figure = plot(atlas, x="Kenv", y="K0", metric="convergence_time", at={"Td": 5})
+    corners = mesh(panel(figure)).get_coordinates()
+    assert np.unique(np.array(borders(panel(figure)))[..., 1]) == pytest.approx(corners[4, 0, 1])
+    assert legend(figure)[-1] == "converged or not"
+
+
+def test_a_plane_on_one_side_of_the_border_has_no_line(atlas):
+    figure = plot(atlas, x="Kenv", y="K0")
+    assert not any(isinstance(c, LineCollection) for c in panel(figure).collections)
 
 
 def test_a_constant_plane_gets_a_scale_around_its_value(atlas):
@@ -472,7 +551,7 @@ def test_an_estimated_error_has_a_logarithmic_scale(judged):
 
 def test_a_flag_is_no_metric_and_an_error_needs_estimates(judged):
     for flag, metric in (("nmse_trusted", "nmse"), ("overshoot_trusted", "overshoot")):
-        words = f"'{flag}' is no metric: the heatmap of '{metric}' hatches what is not trusted"
+        words = f"'{flag}' is no metric: a picture of '{metric}' marks what is not trusted"
         with pytest.raises(PlotError, match=words):
             plot(judged, x="Kenv", y="K0", metric=flag)
     with pytest.raises(PlotError, match=r"no metric 'nsme_error'. Did you mean 'nmse_error'"):

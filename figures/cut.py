@@ -1,0 +1,287 @@
+"""A part of a store for a picture: some dimensions drawn, the others fixed; what each cell is."""
+
+import difflib
+import json
+import math
+from collections.abc import Collection, Hashable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from fic_jax import QUANTITIES, Model, Params
+from figures import style
+from sweeps.spec.digits import LEAST, digits
+from sweeps.store.format import (
+    ERRORS,
+    FLAGS,
+    JUDGEMENTS,
+    OK,
+    OLD_JUDGEMENTS,
+    STATUS,
+    TRUSTED,
+)
+
+MOST_COMPARED = 100_000  # values of a dimension; the digits of more are not compared
+Wanted = Mapping[str, float | str]  # dimension -> the value at which it is fixed
+
+
+class PlotError(ValueError):
+    """The data cannot give the requested figure; the text is one clear line."""
+
+
+@dataclass(frozen=True)
+class Cells:
+    """A metric in the cells of a picture, what became of the others, and what is held constant."""
+
+    metric: str
+    label: str
+    values: np.ma.MaskedArray[Any, Any]
+    special: Mapping[str, NDArray[np.bool_]]  # reason, a key of style.HATCHES -> cells
+    untrusted: NDArray[np.bool_] | None  # cells that ran but are not trusted; None: unknown
+    trust_bound: str  # largest error of a trusted cell, as a formula
+    name: str  # what the sweep is, in words
+    fixed: tuple[str, ...]  # "symbol = value unit" of each fixed dimension, and the contact
+    held: tuple[str, ...]  # the same of all that the sweep holds constant
+    cut: Mapping[str, str]  # fixed dimension -> its value, in digits that tell it from the others
+
+
+def cut(data: xr.Dataset, drawn: Collection[str], metric: str, at: Wanted) -> xr.Dataset:
+    """A metric, its flags and the coordinates, in memory: `drawn` dimensions, the others fixed.
+
+    `at` fixes dimensions, each at the value nearest to the wanted one. A dimension that nobody
+    names is fixed at its middle. Raises PlotError for a request that the store can't answer.
+    """
+    for name in at:
+        if name in data.coords and data[name].dims not in ((name,), ()):
+            raise PlotError(f"'{name}' varies along '{data[name].dims[0]}', which `at` can fix.")
+        require_dimension(name, data, metric)
+        if name in drawn:
+            raise PlotError(f"'{name}' is drawn as an axis; `at` cannot fix it too.")
+    index = {
+        str(dim): _position(data[dim], at[str(dim)]) if dim in at else data.sizes[dim] // 2
+        for dim in data[metric].dims
+        if dim not in drawn
+    }
+    wanted = [name for name in (metric, _judgement(data, metric), "status") if name in data]
+    # isel before load: a store may be larger than memory, a picture is not
+    part = data[wanted].isel(index).load()
+    n = {str(c.name): _digits(data[c.name]) for c in _fixed(part) if c.dtype.kind == "f"}
+    values = {dim: part[dim].item() if dim in part.coords else i for dim, i in index.items()}
+    texts = {dim: f"{v:.{n[dim]}g}" if dim in n else str(v) for dim, v in values.items()}
+    return part.assign_attrs(digits=n, cut=texts)
+
+
+def _fixed(part: xr.Dataset) -> list[xr.DataArray]:
+    return [coordinate for coordinate in part.coords.values() if coordinate.ndim == 0]
+
+
+def _digits(coordinate: xr.DataArray) -> int:
+    return digits(coordinate.values) if coordinate.size <= MOST_COMPARED else LEAST
+
+
+def cells(part: xr.Dataset, metric: str) -> Cells:
+    """What `cut` has found, cell by cell."""
+    array = part[metric]
+    values = array.values.astype(float)
+    # xarray decodes status 0, the fill value, as NaN
+    status = np.nan_to_num(part["status"].values) if "status" in part else np.ones(values.shape)
+    special = {key: status == code for key, code in STATUS.items() if code != OK}
+    good = status == OK
+    special["infinite"] = good & np.isinf(values)
+    judgement = _judgement(part, metric)
+    hidden = ~good | ~np.isfinite(values)
+    special["no value"] = hidden & ~np.logical_or.reduce(list(special.values()))
+    contact, held = _held(part)
+    n = part.attrs["digits"]
+    return Cells(
+        metric=metric,
+        label=with_units(str(array.attrs.get("long_name", metric)), array),
+        values=np.ma.masked_array(values, mask=hidden),
+        special={key: cells for key, cells in special.items() if cells.any()},
+        untrusted=good & (part[judgement].values != TRUSTED) if judgement else None,
+        trust_bound=_bound(part, judgement) if judgement else "",
+        name=str(part.attrs.get("description") or part.attrs.get("name", "")),
+        fixed=(*contact, *(_equation(c, n.get(c.name)) for c in _fixed(part))),
+        held=held,
+        cut=part.attrs["cut"],
+    )
+
+
+def require_metric(metric: str, data: xr.Dataset) -> None:
+    """Raise PlotError unless the store has a metric, or an error estimate, of that name."""
+    judgements = JUDGEMENTS | OLD_JUDGEMENTS
+    if metric in (*ERRORS, *judgements) and not any(name in data for name in judgements):
+        raise PlotError(
+            f"There is no '{metric}': the store has no error estimates; "
+            "`fic-sweep run --error-estimate` makes them."
+        )
+    if metric in judgements:
+        judged = judgements[metric]
+        raise PlotError(
+            f"'{metric}' is no metric: a picture of '{judged}' marks what is not trusted."
+        )
+    _require(metric, [name for name in data.data_vars if name not in FLAGS], "metric")
+
+
+def require_dimension(name: str, data: xr.Dataset, metric: str) -> None:
+    """Raise PlotError unless a metric has a dimension of that name."""
+    dims = [str(dim) for dim in data[metric].dims]
+    record = json.loads(data.attrs.get("sweep", "{}"))
+    constant = (vars(Model()) | record.get("model", {})).get(name) if record else None
+    if record and name in QUANTITIES and name not in data.coords:
+        value = record.get("constants", {}).get(name, getattr(Params(), name))
+        constant = f"{value:.8g} {QUANTITIES[name]['unit']}".removesuffix(" 1")
+    if name not in dims and isinstance(constant, str):
+        raise PlotError(
+            f"'{name}' does not vary here: it is {constant}. There are: {', '.join(dims)}."
+        )
+    _require(name, dims, "dimension")
+
+
+def _require(name: str, known: Iterable[Hashable], what: str) -> None:
+    names = [str(item) for item in known]
+    if name in names:
+        return
+    lower = {item.lower(): item for item in names}
+    near = difflib.get_close_matches(str(name).lower(), lower, n=1)
+    hint = f" Did you mean '{lower[near[0]]}'?" if near else ""
+    raise PlotError(f"There is no {what} '{name}'.{hint} There are: {', '.join(names)}.")
+
+
+def _judgement(data: xr.Dataset, metric: str) -> str:
+    """The flag that judges a metric, or the metric of an error; empty if the store has none."""
+    judged = ERRORS.get(metric, metric)
+    names = (name for name, of in (JUDGEMENTS | OLD_JUDGEMENTS).items() if of == judged)
+    return next((name for name in names if name in data), "")
+
+
+def _bound(data: xr.Dataset, judgement: str) -> str:
+    """The bound of a judgement, as the store has it."""
+    if judgement in OLD_JUDGEMENTS:
+        return f"{100 * float(data.attrs.get('trust_bound', 0.01)):g} % of nmse"
+    return str(data[judgement].attrs.get("bound", "its bound"))
+
+
+def _position(coordinate: xr.DataArray, wanted: float | str) -> int:
+    """Index of the value nearest to `wanted`, on the scale of the axis."""
+    name, values = str(coordinate.name), coordinate.values
+    if values.dtype.kind not in "iuf":
+        _require(str(wanted), values, f"value of {name}")
+        return [str(value) for value in values].index(str(wanted))
+    try:
+        number = float(wanted)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise PlotError(f"{name} is numeric, but `at` names '{wanted}'.")
+    n = digits([*values, number]) if values.size <= MOST_COMPARED else 8
+    if len(values) == 1 and not math.isclose(number, values[0], rel_tol=1e-6, abs_tol=1e-12):
+        only = f"{values[0]:.{n}g}"
+        raise PlotError(f"{name} = {number:.{n}g} was not run; its only value is {only}.")
+    grid, scale = values.astype(float), scale_of(coordinate)
+    edges = edges_of(np.sort(grid), scale if scale == "log" else "linear")
+    # a case, a scenario: there is none between two
+    whole = scale == "category" and values.dtype.kind in "iu" and number not in values
+    if (len(values) > 1 and not edges[0] <= number <= edges[-1]) or whole:
+        span = f"{grid.min():.{n}g} to {grid.max():.{n}g} {style.units_text(units(coordinate))}"
+        where = "is no index of" if whole else "lies outside"
+        raise PlotError(f"{name} = {number:.{n}g} {where} the sweep, which covers {span.strip()}.")
+    ratio = np.log(grid) - math.log(number) if scale == "log" else grid - number
+    return int(np.argmin(np.abs(ratio)))
+
+
+def _held(data: xr.Dataset) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The contact of the whole sweep, and all else that it holds constant, the defaults last."""
+    record = json.loads(data.attrs.get("sweep", "{}"))
+    if not record:
+        return (), ()
+    model, named = record.get("model", {}), record.get("constants", {})
+    chosen = {name: choice for name, choice in model.items() if isinstance(choice, str)}
+    contact = "" if isinstance(model.get("contact"), list) else model.get("contact", "hard_stop")
+    given = [
+        f"{name}: {style.words(choice)}" for name, choice in chosen.items() if name != "contact"
+    ]
+    given += [_constant(name, value) for name, value in named.items()]
+    times = [f"{name} = {value:.8g} s" for name, value in record.get("time", {}).items()]
+    default = {
+        name: value
+        for name, value in vars(Params()).items()
+        if name not in named and name not in data.coords
+    }
+    rest = [_constant(name, value) for name, value in default.items() if value]
+    zero = ", ".join(style.SYMBOLS[name] for name, value in default.items() if not value)
+    rest += [f"{zero} = 0"] if zero else []
+    rest[:1] = [f"by default {text}" for text in rest[:1]]
+    return ((style.words(contact),) if contact else ()), (*given, *times, *rest)
+
+
+def _constant(name: str, value: float) -> str:
+    unit = style.units_text(QUANTITIES[name]["unit"])
+    return f"{style.SYMBOLS[name]} = {style.number(value, digits([value]))} {unit}".strip()
+
+
+def _equation(coordinate: xr.DataArray, n: int | None) -> str:
+    """`symbol = value unit` of a fixed coordinate with n digits; a choice of the model in words."""
+    value = coordinate.item()
+    if coordinate.dtype.kind in "OUT":
+        text = style.words(str(value))
+        return text if coordinate.name == "contact" else f"{symbol(coordinate)}: {text}"
+    text = style.number(value, n) if n else str(value)
+    return f"{symbol(coordinate)} = {text} {style.units_text(units(coordinate))}".strip()
+
+
+def units(array: xr.DataArray) -> str:
+    """The unit of a variable, as the store has it."""
+    return str(array.attrs.get("units", ""))
+
+
+def with_units(text: str, array: xr.DataArray) -> str:
+    """A text with the unit of a variable in brackets."""
+    unit = style.units_text(units(array))
+    return f"{text} ({unit})" if unit else text
+
+
+def symbol(coordinate: xr.DataArray) -> str:
+    """The symbol of a coordinate, or its name."""
+    return style.SYMBOLS.get(str(coordinate.name), str(coordinate.name).replace("_", " "))
+
+
+def scale_of(coordinate: xr.DataArray) -> str:
+    """The scale on which the values are most evenly spaced; "category" if they are no grid."""
+    values = coordinate.values
+    parameter = values.dtype.kind == "f" or (
+        values.dtype.kind in "iu" and coordinate.name in style.SYMBOLS
+    )
+    if not parameter or len(np.unique(values)) < max(2, len(values)):
+        return "category"
+    ordered = np.sort(values.astype(float))
+    positive = ordered[ordered > 0]
+    wide = len(positive) > 1 and positive[-1] > 10**1.5 * positive[0]
+    if len(positive) < len(ordered):
+        # a log axis has no zero, and a linear axis would leave no room for the small decades
+        return "category" if wide else "linear"
+    # within a factor of two both scales look alike, and a log axis has no tick
+    if wide or len(ordered) < 3 or ordered[-1] < 2 * ordered[0]:
+        return "log" if wide else "linear"
+    steps, ratios = np.diff(ordered), np.diff(np.log(ordered))
+    uneven = np.std(steps) / np.mean(steps) > np.std(ratios) / np.mean(ratios)
+    return "log" if uneven else "linear"
+
+
+def edges_of(values: NDArray[Any], scale: str) -> NDArray[np.float64]:
+    """Cell edges midway between ascending values on the scale; outer cells are symmetric."""
+    if scale == "category" or len(values) == 1:
+        return np.arange(len(values) + 1, dtype=np.float64) - 0.5
+    numbers = values.astype(np.float64)
+    points: NDArray[np.float64] = np.log(numbers) if scale == "log" else numbers
+    inner = (points[:-1] + points[1:]) / 2
+    first, last = 2 * points[0] - inner[0], 2 * points[-1] - inner[-1]
+    edges = np.concatenate([[first], inner, [last]]).astype(np.float64)
+    if scale == "log":
+        return np.asarray(np.exp(edges), dtype=np.float64)
+    if points[0] > 0:
+        edges[0] = max(edges[0], 0.0)  # a positive quantity has no negative edge
+    return edges
