@@ -14,6 +14,7 @@ from sweeps.spec.types import (
     MAX_CELLS,
     MAX_PERIODS,
     MAX_STEPS,
+    ROUNDING,
     STORED,
     SpacedRange,
     Sweep,
@@ -74,11 +75,17 @@ def placement(sweep: Sweep) -> Iterator[str]:
     if len(set(lengths.values())) > 1:
         yield f"`cases` must be columns of equal length, but are {lengths}."
     for name, axis in sweep.axes.items():
-        if not (axis.distinct if isinstance(axis, SpacedRange) else len(set(axis)) == len(axis)):
+        if not (axis.distinct if isinstance(axis, SpacedRange) else _distinct(axis)):
             yield f"`axes.{name}` must be values that differ, but some are given twice."
     if sweep.sample and "period" in sweep.sample.ranges:
         yield "`sample.ranges.period` must be an axis or a case: it is a multiple of dt."
     yield from _sizes(sweep)
+
+
+def _distinct(values: list[float]) -> bool:
+    """Whether all values differ by more than rounding."""
+    ordered = np.sort(values)
+    return bool((np.diff(ordered) > ROUNDING * np.abs(ordered[1:])).all())
 
 
 def _sizes(sweep: Sweep) -> Iterator[str]:

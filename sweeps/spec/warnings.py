@@ -6,6 +6,7 @@ from typing import cast
 import numpy as np
 
 from fic_jax.stiffness import fastest_rate
+from sweeps.spec.digits import digits
 from sweeps.spec.types import MAX_STEPS, Sweep
 
 STABLE = 2.78  # |lambda| dt beyond which RK4 diverges on a linear system
@@ -13,7 +14,7 @@ ACCURATE = 1.0  # |lambda| dt up to which RK4 resolves a time constant
 
 
 def warnings_of(sweep: Sweep) -> Iterator[str]:
-    """A line for each: a slow controller, torques out of reach, a bent profile, a dt too long."""
+    """A line for each: a slow controller, torques out of reach, values alike, a bent profile, dt."""
     p = sweep.extremes()
     with np.errstate(all="ignore"):  # an overflow gives inf, which still exceeds the limits
         overshoot = np.max(np.asarray(p.K0) * np.asarray(p.x0) / np.asarray(p.Fmax))
@@ -31,6 +32,17 @@ def warnings_of(sweep: Sweep) -> Iterator[str]:
             f"{limit.min():g} N*m: metrics compare the torque with what is reachable, "
             "sgn(Td) min(|Td|, Fmax)"
         )
+    for name in sweep.axes:
+        values = sweep.axis_values(name)
+        short = values.astype(f"float{sweep.bits}")
+        same = np.flatnonzero(short[1:] == short[:-1])
+        if same.size:
+            one, other = values[same[0] : same[0] + 2]
+            n = digits((one, other))
+            yield (
+                f"{name} = {one:.{n}g} and {other:.{n}g} are one number in {sweep.bits} bits; "
+                "`--precision 64` tells them apart"
+            )
     if overshoot > 1.0:
         yield (
             f"K0*x0 reaches {overshoot:.3g} times Fmax: there the force profile (eq. 1) is not "

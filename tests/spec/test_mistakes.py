@@ -46,6 +46,8 @@ WRONG = {
     GOOD + "[constants]\nK0 = 3.0": "`axes.K0` must be given once, but is in `constants` too.",
     GOOD + "[cases]\nK0 = [1.0]": "`cases.K0` must be given once, but is in `axes` too.",
     GOOD + "Td = [1.0, 1.0]": "`axes.Td` must be values that differ, but some are given twice.",
+    GOOD
+    + "Td = [0.3, 1, 0.30000000000000004]": "`axes.Td` must be values that differ, but some are",
     GOOD + "[cases]\nDenv = [1, 2]\nKenv = [1, 2, 3]": "`cases` must be columns of equal length",
     GOOD + "Td = { log = [1, 2], lin = [1, 2], n = 4 }": "either log = [a, b] or lin = [a, b]",
     GOOD + "Td = { log = [0, 2], n = 4 }": "must be between positive ends on a log scale",

@@ -61,3 +61,13 @@ def test_a_torque_that_can_not_be_reached():
     (line,) = lines("Td = [4.0, -20.0]")
     assert "Td reaches 20 N*m, but the torque is limited to Fmax = 15 N*m" in line
     assert lines("Td = [4.0, -20.0]\nFmax = [20.0, 30.0]") == []
+
+
+def test_values_that_the_precision_does_not_tell_apart():
+    (line,) = lines("K0 = [50.0, 50.0000001, 60.0]")
+    assert line == (
+        "K0 = 50 and 50.0000001 are one number in 32 bits; `--precision 64` tells them apart"
+    )
+    assert not list(
+        warnings_of(parse('name = "a"\nprecision = 64\n[axes]\nK0 = [50.0, 50.0000001]', "f"))
+    )
