@@ -22,6 +22,7 @@ MAX_CASES = 10_000  # rows of [cases]: a person writes them
 MAX_CELLS = 10**12  # scenarios of a sweep: each float32 variable then takes 4 TB
 MAX_NAMES = 100  # metrics or choices in a list: fic_jax has fewer
 MAX_STEPS = 100_000_000  # plant steps: the engine counts them in int32
+PIECE = 1_000_000  # values computed at once: extended precision takes 16 bytes for each
 RANGES = 2  # version of the values of a range; raise it with a change of any bit
 ROUNDING = 4 * float(np.finfo(float).eps)  # relative: values closer than this are one value
 DIGITS = 12  # most digits of a decimal that a person writes
@@ -94,6 +95,13 @@ class SpacedRange(Range):
         A value that is a short decimal to rounding, as 0.3 on a range from 0 to 1, is that decimal.
         """
         start, stop, _ = part.indices(self.n)
+        values = np.empty(max(stop - start, 0))
+        for first in range(start, stop, PIECE):
+            last = min(first + PIECE, stop)
+            values[first - start : last - start] = self._values(first, last)
+        return values
+
+    def _values(self, start: int, stop: int) -> np.ndarray:
         values = self.at(np.arange(start, stop, dtype=np.longdouble) / (self.n - 1))
         inside = slice(max(1 - start, 0), max(self.n - 1 - start, 0))  # the ends are as given
         values[inside] = _short_decimals(values[inside], self.rounding(values[inside]))
@@ -108,6 +116,11 @@ class SpacedRange(Range):
             zero = int(a / (a - b) * (self.n - 1))
             around_zero = self.values(slice(max(zero - 1, 0), zero + 3))
         return np.concatenate([[a], around_zero, [b]])
+
+    def closest(self) -> np.ndarray:
+        """The two neighbours that differ least, in relation to their size: at the larger end."""
+        first_larger = abs(self.ends[0]) > abs(self.ends[1])
+        return self.values(slice(0, 2) if first_larger else slice(self.n - 2, self.n))
 
     @property
     def distinct(self) -> bool:

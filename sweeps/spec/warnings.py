@@ -14,17 +14,22 @@ ACCURATE = 1.0  # |lambda| dt up to which RK4 resolves a time constant
 
 
 def warnings_of(sweep: Sweep) -> Iterator[str]:
-    """A line for each: a slow controller, torques out of reach, values alike, a bent profile, dt."""
-    p = sweep.extremes()
-    with np.errstate(all="ignore"):  # an overflow gives inf, which still exceeds the limits
-        overshoot = np.max(np.asarray(p.K0) * np.asarray(p.x0) / np.asarray(p.Fmax))
-        stiffest = fastest_rate(p) * sweep.time.dt
+    """A line for each thing that may surprise."""
+    for kind in (_slow_controller, _torque_out_of_reach, _equal_values, _bent_profile, _long_step):
+        yield from kind(sweep)
+
+
+def _slow_controller(sweep: Sweep) -> Iterator[str]:
+    """`period` keeps its default where only dt was made shorter."""
     period, dt = sweep.held().get("period"), sweep.time.dt
     if "period" in sweep.defaults() and dt < cast(float, period):
         yield (
             f"the controller runs every {period:g} s, the default of `period`, not every dt = "
             f"{dt:g} s; `--set period={dt:g}` runs it at every plant step"
         )
+
+
+def _torque_out_of_reach(sweep: Sweep) -> Iterator[str]:
     desired, limit = (np.abs(sweep.outermost(name)) for name in ("Td", "Fmax"))
     if desired.max() > limit.min():
         yield (
@@ -32,10 +37,14 @@ def warnings_of(sweep: Sweep) -> Iterator[str]:
             f"{limit.min():g} N*m: metrics compare the torque with what is reachable, "
             "sgn(Td) min(|Td|, Fmax)"
         )
-    for name in sweep.axes:
-        values = sweep.axis_values(name)
-        short = values.astype(f"float{sweep.bits}")
-        same = np.flatnonzero(short[1:] == short[:-1])
+
+
+def _equal_values(sweep: Sweep) -> Iterator[str]:
+    """Neighbours on an axis that the precision of the run does not tell apart."""
+    for name, axis in sweep.axes.items():
+        values = np.sort(axis) if isinstance(axis, list) else axis.closest()
+        with np.errstate(over="ignore"):
+            same = np.flatnonzero(np.diff(values.astype(f"float{sweep.bits}")) == 0)
         if same.size:
             one, other = values[same[0] : same[0] + 2]
             n = digits((one, other))
@@ -43,22 +52,34 @@ def warnings_of(sweep: Sweep) -> Iterator[str]:
                 f"{name} = {one:.{n}g} and {other:.{n}g} are one number in {sweep.bits} bits; "
                 "`--precision 64` tells them apart"
             )
+
+
+def _bent_profile(sweep: Sweep) -> Iterator[str]:
+    p = sweep.extremes()
+    with np.errstate(all="ignore"):  # an overflow gives inf, which still exceeds 1
+        overshoot = np.max(np.asarray(p.K0) * np.asarray(p.x0) / np.asarray(p.Fmax))
     if overshoot > 1.0:
         yield (
             f"K0*x0 reaches {overshoot:.3g} times Fmax: there the force profile (eq. 1) is not "
             "monotone and the torque is cut off at Fmax"
         )
+
+
+def _long_step(sweep: Sweep) -> Iterator[str]:
+    dt = sweep.time.dt
+    with np.errstate(all="ignore"):  # an overflow gives inf, which still exceeds the limits
+        stiffest = fastest_rate(sweep.extremes()) * dt
     if stiffest > ACCURATE:
         state = "unstable" if stiffest > STABLE else "inaccurate"
-        advice = _shorter(sweep, stiffest)
+        shorter = _shorter_step(sweep, stiffest)
         yield (
             f"dt = {dt:g} s is {stiffest:.3g} times the time constant of the stiffest "
             f"scenario: RK4 is {state} there (it resolves up to {ACCURATE:g}, diverges beyond "
-            f"{STABLE:g})" + (f"; `--set dt={advice:g}` would do" if advice else "")
+            f"{STABLE:g})" + (f"; `--set dt={shorter:g}` would do" if shorter else "")
         )
 
 
-def _shorter(sweep: Sweep, times: float) -> float | None:
+def _shorter_step(sweep: Sweep, times: float) -> float | None:
     """A plant step at least `times` shorter that divides what dt divides: periods and t_end.
 
     dt over a product of twos and fives is a decimal of few digits. None if the run had too many

@@ -428,7 +428,7 @@ def test_a_device_a_folder_and_a_link_are_refused(tmp_path):
         tmp_path / "link.toml": "must be at most 1,000,000 bytes long, but is longer.",
         tmp_path / "large.toml": "must be at most 1,000,000 bytes long, but is longer.",
         tmp_path / "loop.toml": "can't be read: ",
-        tmp_path: "can't be read: ",
+        tmp_path: "is a folder, no sweep file",
         "/dev/null": "`name` must be given, but is missing.",
         "/no/such": "there is no such file",
         "a\0b": "can't be read: embedded null byte",
