@@ -27,7 +27,7 @@ def override(raw: dict[str, Any], text: str) -> None:
     """Apply `--set KEY=VALUE` to `raw`.
 
     KEY is a field of Params, a choice of Model or another key of the file, without its table.
-    VALUE is TOML, or a number as Python writes it; a bare word is a text. A field of Params becomes
+    VALUE is TOML, or a number as Python writes it; words need no quotes. A field of Params becomes
     a constant if VALUE is a number and an axis if it is a list or a range; any former value of the
     field is removed.
 
@@ -53,9 +53,10 @@ def override(raw: dict[str, Any], text: str) -> None:
 
 
 def _value(text: str) -> Any:
-    """A value in TOML, or with numbers as Python writes them (`1.`, `.5`); any other is a text."""
+    """A value in TOML, or with numbers as Python writes them, or a list of words, or a text."""
     python = _BARE_POINT.sub(lambda m: f"{m[1] or 0}.{m[2] or 0}", text)
-    for form in (text, python):
+    words = _WORD.sub(r"'\g<0>'", text) if _LIST_OF_WORDS.fullmatch(text) else text
+    for form in (text, python, words):
         try:
             return tomllib.loads(f"value = {form}")["value"]
         except (ValueError, RecursionError):
@@ -63,6 +64,9 @@ def _value(text: str) -> Any:
     return text
 
 
+_WORD = re.compile(r"\w+")
+_LIST_OF_WORDS = re.compile(r"\[\s*[a-z]\w*(?:\s*,\s*[a-z]\w*)*\s*\]")
+# the numbers 1. and .5
 _BARE_POINT = re.compile(r"(?<![\w.])(?:(\d+)\.(?![\d.])|\.(\d+))")
 
 

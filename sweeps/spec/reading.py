@@ -69,7 +69,7 @@ def parse(text: str, source: str, overrides: tuple[str, ...] = ()) -> Sweep:
         raise SweepError(f"{source}: not valid TOML: a number of thousands of digits") from None
     for assignment in overrides:
         override(raw, assignment)
-    return validate(raw, source)
+    return validate(raw, f"{source} with --set" if overrides else source)
 
 
 def validate(raw: dict[str, Any], source: str) -> Sweep:
