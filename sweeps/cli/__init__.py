@@ -27,6 +27,7 @@ from sweeps.cli.arguments import Command
 
 app = typer.Typer(
     name="fic-sweep",
+    context_settings={"help_option_names": ["-h", "--help"]},
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,

@@ -41,7 +41,7 @@ def is_sweep(text, overrides=()):
         lines = str(refusal).splitlines()
         assert 1 <= len(lines) <= MAX_MISTAKES + 1
         for line in lines:
-            assert line.startswith(("mine.toml: ", "--set "))
+            assert line.startswith(("mine.toml: ", "mine.toml with --set: ", "--set "))
             assert line.isprintable()
             assert len(line) < 1_000
         return False

@@ -31,6 +31,12 @@ def test_a_field_moves_to_the_table_of_its_new_value():
     assert (list(drawn.sample.ranges), drawn.constants) == (["K0"], {"Td": 3})
 
 
+def test_words_need_no_quotes():
+    sweep = parse(FILE, "f", ("law=[effort, energy]", "metrics=[nmse]", "contact=welded"))
+    assert sweep.model == {"law": ["effort", "energy"], "contact": "welded"}
+    assert sweep.metrics == ["nmse"]
+
+
 def test_other_keys_need_no_table():
     settings = ("dt=0.005", "law=effort", "name=b", "error_estimate=true", "precision=64")
     sweep = parse(FILE, "f", settings)
@@ -66,6 +72,7 @@ def test_other_keys_need_no_table():
         ("k" * 100_000, "--set kkk"),
         ("K0=nan", "`constants.K0` must be a finite number"),
         ("t_end=1e300", "`time.t_end` must be at most 100,000,000 steps"),
+        ("dt=1ms", 'f with --set: `time.dt` must be a number, but is "1ms".'),
         ("precision=16", "`precision` must be 32 or 64, but is 16."),
         ("precision=true", "`precision` must be 32 or 64, but is true."),
         ("precision='64'", '`precision` must be 32 or 64, but is "64".'),
