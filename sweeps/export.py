@@ -1,6 +1,7 @@
 """A store as one table (CSV, Parquet), piece by piece, or one NetCDF file, variable by variable."""
 
 import math
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,13 +19,15 @@ PIECE = 500_000  # rows held at once
 
 
 def write(data: xr.Dataset, path: Path, to: str) -> int:
-    """Write the whole store to `path`, which must not exist; returns the number of scenarios."""
-    if path.exists():
-        raise SweepError(f"{path}: exists already; --out names another")
-    partial = path.with_name(f".{path.name}.partial")
+    """Write the whole store to `path`; returns the number of scenarios.
+
+    The file has its name, and replaces another of that name, once it is whole.
+    """
+    place = Path(os.path.realpath(path))  # a link stays a link
+    partial = place.with_name(f".{place.name}.partial")
     try:
         _WRITERS[to](data, partial)
-        partial.rename(path)
+        partial.replace(place)
     except ImportError as error:
         raise SweepError(f"--to {to}: needs {error.name}; pip install 'fic-jax[export]'") from None
     except OSError as error:

@@ -3,7 +3,7 @@
 - `library`: `list`, `show`; finds a sweep by its name or file
 - `run`: `run`, `resume`
 - `check`: `status`, `verify`
-- `output`: `plot`, `export`
+- `output`: `plot`, `history`, `export`
 - `report`, `bench`: a command each
 - `arguments`: the arguments that several commands share
 - `interruption`: Ctrl-C and SIGTERM stop a command between two blocks
@@ -16,6 +16,7 @@ No file here imports jax, numpy or another large package at its top, so that `--
 a command imports what it needs when it runs.
 """
 
+import os
 import sys
 import warnings
 from typing import Annotated
@@ -38,6 +39,7 @@ app.command()(run.resume)
 app.command()(check.verify)
 app.command()(check.status)
 app.command()(output.plot)
+app.command()(output.history)
 app.command()(output.export)
 app.command()(bench.bench)
 app.command()(report.report)
@@ -66,4 +68,6 @@ def main() -> None:
     warnings.showwarning = lambda message, *_, **__: print(
         f"fic-sweep: warning: {message}", file=sys.stderr
     )
+    # matplotlib refuses to be imported with a backend that it does not know; no picture needs one
+    os.environ.pop("MPLBACKEND", None)
     process.exit_with(lambda: errors.dispatch(app))

@@ -37,9 +37,12 @@ WRONG_WITH_STORE = [
     (["run", "tiny.toml"], "tiny.zarr: exists already; `fic-sweep resume tiny.zarr` continues it"),
     ([*PLOT, "--out", "a.xyz"], "a picture ends in .png, .pdf, .svg, not in '.xyz'"),
     ([*PLOT, "--out", "none/a.png"], "none/a.png: can't be written: "),
-    ([*PLOT[:3], "Kenv", *PLOT[4:]], "tiny.zarr: There is no dimension 'Kenv'. "),
+    ([*PLOT[:3], "Kenv", *PLOT[4:]], "tiny.zarr: 'Kenv' does not vary here: it is 100 N*m/rad. "),
     ([*PLOT, "--at", "sigma"], "--at sigma: must be KEY=VALUE, as in --at Td=5"),
-    ([*PLOT, "--at", "a=1", "--at", "a=2"], "--at a=2: a is given twice"),
+    (
+        [*PLOT, "--at", "a=1", "--at", "a=2"],
+        "--at a: is given twice, 1 and 2; `fic-sweep history` draws several",
+    ),
     (
         [*PLOT, "--metric", "nmse_error"],
         "tiny.zarr: There is no 'nmse_error': the store has no error estimates; "
