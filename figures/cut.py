@@ -71,7 +71,7 @@ def cut(data: xr.Dataset, drawn: Collection[str], metric: str, at: Wanted) -> xr
     n = {str(c.name): _digits(data[c.name]) for c in _fixed(part) if c.dtype.kind == "f"}
     values = {dim: part[dim].item() if dim in part.coords else i for dim, i in index.items()}
     texts = {dim: f"{v:.{n[dim]}g}" if dim in n else str(v) for dim, v in values.items()}
-    return part.assign_attrs(digits=n, cut=texts)
+    return part.assign_attrs(digits=n, cut=texts, index=tuple(index.values()))
 
 
 def _fixed(part: xr.Dataset) -> list[xr.DataArray]:

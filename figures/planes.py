@@ -27,6 +27,7 @@ from figures.cut import (
 class Axis:
     """One side of a heatmap: n values and n + 1 cell edges, on the scale of the drawing."""
 
+    name: str  # of the dimension or field
     label: str
     scale: str  # "log" | "linear" | "category"
     values: NDArray[Any]
@@ -56,11 +57,13 @@ def select(
     Raises PlotError if the store has no such plane.
     """
     require_metric(metric, data)
+    along = {name: str(data[name].dims[0]) for name in (x, y) if name in data.coords}
     for name in (x, y):
-        along = data[name].dims if name in data.coords else (name,)
-        if along != (name,) and name not in data.dims and along:
-            raise PlotError(f"'{name}' varies along '{along[0]}', which has no grid to draw on.")
-        require_dimension(name, data, metric)
+        if along.get(name, name) == name:
+            require_dimension(name, data, metric)
+    for name, dim in along.items():
+        if dim != name:
+            raise PlotError(f"'{name}' varies along '{dim}', which has no grid to draw on.")
     if x == y:
         raise PlotError(f"x and y must be two dimensions, but both are '{x}'.")
     plane = cut(data, (x, y), metric, at or {}).transpose(y, x)
@@ -74,6 +77,7 @@ def axis(coordinate: xr.DataArray) -> Axis:
     """A side of a picture along a dimension of a store."""
     scale = scale_of(coordinate)
     return Axis(
+        name=str(coordinate.name),
         label=with_units(symbol(coordinate), coordinate),
         scale=scale,
         values=coordinate.values,

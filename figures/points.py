@@ -72,7 +72,7 @@ def select(
         fields = [str(c.name) for c in data.coords.values() if c.dims == (dims[0],)]
         x = dims[0] if dims[0] in fields or not fields else None
     if x is None:
-        fields = [str(name) for name, c in data.coords.items() if c.ndim == 1]
+        fields = [str(c.name) for dim in dims for c in data.coords.values() if c.dims == (dim,)]
         raise PlotError(f"Name the horizontal axis: `--x` one of {', '.join(fields or dims)}.")
     along = _dimension(x, data, metric)
     if y is not None and _dimension(y, data, metric) != along:
@@ -114,9 +114,9 @@ def _spread(part: xr.Dataset, name: str) -> Axis:
     label = with_units(symbol(coordinate), coordinate)
     if log:
         room = (high / low) ** MARGIN if high > low else 1.1
-        return Axis(label, "log", values, np.array([low / room, high * room]))
+        return Axis(name, label, "log", values, np.array([low / room, high * room]))
     room = MARGIN * (high - low) or 0.1 * (abs(high) or 1.0)
-    return Axis(label, "linear", values, np.array([low - room, high + room]))
+    return Axis(name, label, "linear", values, np.array([low - room, high + room]))
 
 
 def draw(points: Points) -> Figure:
@@ -196,10 +196,10 @@ def _colours(
     sure = known & ~doubt
     drawn = ax.scatter(x[sure], y[sure], c=points.values[sure], s=7, linewidths=0, **kind)
     if doubt.any():
-        ring: dict[str, Any] = {"marker": "s", "linewidths": 0.7, "edgecolors": "black"}
-        ax.scatter(x[doubt], y[doubt], c=points.values[doubt], s=9, **ring, **kind)
-        box = Line2D([], [], ls="", marker="s", mfc="0.75", mec="black", mew=0.7, ms=3.5)
-        entries[hatch.doubt_text([points])] = box
+        colour = kind["cmap"](kind["norm"](points.values[doubt]))
+        ax.scatter(x[doubt], y[doubt], s=7, linewidths=0.7, facecolors="none", edgecolors=colour)
+        ring: dict[str, Any] = {"marker": "o", "mfc": "none", "mec": DOUBT, "mew": 0.7, "ms": 2.7}
+        entries[hatch.doubt_text([points])] = Line2D([], [], ls="", **ring)
     for key, at in points.special.items():
         mark = _mark(key)
         ax.plot(x[at], y[at], zorder=0.9, **mark)

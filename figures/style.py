@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from matplotlib import rc_context, rcdefaults, rcParams
+from matplotlib import colormaps, rc_context, rcdefaults, rcParams
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
@@ -90,11 +90,29 @@ WORDS = {  # choices of the model; the others are words
 }
 
 SEQUENTIAL = "viridis"
+# Of lines on white: blue to orange. Its lighter end has a contrast below 3 and fades in print.
+ORDERED, LIGHTEST = "plasma", 0.63
 # Luminance rises from end to end, so that a grey print shows the sign. Colour-blind readers can
 # tell blue from orange. Only zero is grey.
 DIVERGING = LinearSegmentedColormap.from_list(
     "signed", ["#0a2463", "#3f6fb5", "#a6a6a6", "#f2b66d", "#fff3d1"]
 )
+
+
+DASHES: tuple[Any, ...] = (
+    "-",
+    "--",
+    "-.",
+    (0, (1, 1)),
+    (0, (4, 1, 1, 1, 1, 1)),
+    (0, (7, 2)),
+)
+
+
+def ordered(n: int) -> list[tuple[float, float, float, float]]:
+    """Colours of n ordered values, dark to light, each with a contrast of 3 or more on white."""
+    shades = colormaps[ORDERED]
+    return [shades(LIGHTEST * i / max(n - 1, 1)) for i in range(n)]
 
 
 @dataclass(frozen=True)
@@ -204,7 +222,7 @@ def save(fig: Figure, path: str | os.PathLike[str]) -> None:
 
     The file has its name once it is whole. Raises ValueError for another suffix.
     """
-    path = Path(path)
+    path = Path(os.path.realpath(path))  # a link stays a link
     suffix = path.suffix.lower()
     if suffix not in UNDATED:
         raise ValueError(f"a picture ends in {', '.join(UNDATED)}, not in '{suffix}'")

@@ -6,6 +6,7 @@ and NetCDF. Those of a CSV are in a second file: a comment in the first would en
 
 import json
 import math
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -25,16 +26,18 @@ PIECE = 500_000  # rows held at once
 
 
 def write(data: xr.Dataset, path: Path, to: str) -> int:
-    """Write the whole store to `path`, which must not exist; returns the number of scenarios."""
-    if path.exists():
-        raise SweepError(f"{path}: exists already; --out names another")
-    partial = path.with_name(f".{path.name}.partial")
+    """Write the whole store to `path`; returns the number of scenarios.
+
+    The file has its name, and replaces another of that name, once it is whole.
+    """
+    place = Path(os.path.realpath(path))  # a link stays a link
+    partial = place.with_name(f".{place.name}.partial")
     try:
         _WRITERS[to](data, partial)
-        partial.rename(path)
+        partial.replace(place)
         if to == "csv":
-            description = json.dumps(_description(data, path.name), indent=1)
-            path.with_name(path.name + DESCRIPTION).write_text(description, encoding="utf-8")
+            description = json.dumps(_description(data, place.name), indent=1)
+            place.with_name(place.name + DESCRIPTION).write_text(description, encoding="utf-8")
     except ImportError as error:
         raise SweepError(f"--to {to}: needs {error.name}; pip install 'fic-jax[export]'") from None
     except OSError as error:

@@ -14,7 +14,7 @@ def plot(data: xr.Dataset) -> Figure:
         fig = Figure(figsize=(style.COLUMN_WIDTH, 2.6))
         ax = fig.subplots()
         t, x0 = data["t"].values, data.attrs["x0"]
-        for i, colour in enumerate(look.ordered(data.sizes["ratio"])):
+        for i, colour in enumerate(style.ordered(data.sizes["ratio"])):
             run = data.isel(ratio=i)
             factor, length = float(run["predicted"]), float(run["round"])
             text = f"{float(run['ratio']):g}: factor {factor:.2f}"

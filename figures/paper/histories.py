@@ -68,7 +68,7 @@ def _column(axes: np.ndarray, runs: xr.Dataset, field: str) -> None:
     Fmax, gap = look.PAPER.Fmax, runs.attrs["gap"]
     values = runs[field].values
     for value, text, colour, dashes in zip(
-        values, look.values(field, values), look.ordered(values.size), look.DASHES, strict=False
+        values, look.values(field, values), style.ordered(values.size), style.DASHES, strict=False
     ):
         run, kind = runs.sel({field: value}), {"color": colour, "ls": dashes, "lw": 0.7}
         torque.plot(run["time"], run["tau_env"], label=text, **kind)

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 
 from fic_jax import QUANTITIES, Params
@@ -15,7 +14,6 @@ MORE, LESS = "#009E73", "#D55E00"  # green and red of fig:1a; a hatch also disti
 REFERENCE = "0.45"  # bounds and set values
 
 MARKERS = ("o", "s", "D", "^", "v")
-DASHES = ("-", "--", "-.", (0, (1, 1)), (0, (4, 1, 1, 1, 1, 1)))
 
 PAPER = Params()
 STIFFNESSES = tuple(scenarios("paper-welded")["K0"].unique())  # N*m/rad
@@ -33,12 +31,6 @@ def mark_bounds(ax: Axes, p: Params, sides: tuple[int, ...] = (1,)) -> None:
             ax.axvline(side * float(getattr(p, field)), color="0.8", lw=0.5, zorder=0)
         at, top = float(getattr(p, field)), ax.get_xaxis_transform()
         ax.text(at, 1.0, style.SYMBOLS[field], ha=align, va="bottom", transform=top)
-
-
-def ordered(n: int) -> list[tuple[float, float, float, float]]:
-    """Colours of n ordered values, dark to light, none too pale to print."""
-    shades = colormaps[style.SEQUENTIAL]
-    return [shades(0.85 * i / max(n - 1, 1)) for i in range(n)]
 
 
 def label(field: str) -> str:

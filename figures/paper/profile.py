@@ -32,7 +32,7 @@ def plot(data: xr.Dataset, params: Params = look.PAPER) -> Figure:
         fig = Figure(figsize=(style.COLUMN_WIDTH, 3.9))
         above, below = fig.subplots(2, 1)
         for K0, colour, dashes in zip(
-            data["K0"].values, look.ordered(data.sizes["K0"]), look.DASHES, strict=False
+            data["K0"].values, style.ordered(data.sizes["K0"]), style.DASHES, strict=False
         ):
             F = data["force"].sel(K0=K0)
             line: dict[str, Any] = {"color": colour, "ls": dashes, "lw": 1.0}

@@ -60,7 +60,7 @@ def plot(data: xr.Dataset) -> Figure:
 def _draw(ax: Axes, plane: xr.DataArray) -> None:
     """A group for each Td, in it a place for each K0; filled exact, ring the 1 % error."""
     stiffnesses, torques = plane["K0"].values, plane["Td"].values
-    colours = look.ordered(stiffnesses.size)
+    colours = style.ordered(stiffnesses.size)
     places = SPREAD * (np.arange(stiffnesses.size) / max(stiffnesses.size - 1, 1) - 0.5)
     for K0, place, colour, marker in zip(stiffnesses, places, colours, look.MARKERS, strict=False):
         x = np.arange(torques.size) + place
@@ -91,7 +91,7 @@ def _decades(values: np.ndarray) -> tuple[float, float]:
 
 
 def _legend(data: xr.Dataset) -> list[Line2D]:
-    named = zip(data["K0"].values, look.ordered(data.sizes["K0"]), look.MARKERS, strict=False)
+    named = zip(data["K0"].values, style.ordered(data.sizes["K0"]), look.MARKERS, strict=False)
     lines = [
         Line2D([], [], ls="", marker=m, color=c, ms=4, label=look.values("K0", [K0])[0])
         for K0, c, m in named

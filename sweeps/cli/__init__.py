@@ -3,7 +3,7 @@
 - `library`: `list`, `show`; finds a sweep by its name or file
 - `run`: `run`, `resume`
 - `check`: `status`, `verify`
-- `output`: `plot`, `export`
+- `output`: `plot`, `history`, `export`
 - `report`, `bench`: a command each
 - `arguments`: the arguments that several commands share
 - `interruption`: Ctrl-C and SIGTERM stop a command between two blocks
@@ -40,6 +40,7 @@ for command in (
     check.verify,
     check.status,
     output.plot,
+    output.history,
     output.export,
     bench.bench,
     report.report,

@@ -1,5 +1,10 @@
-"""`plot` and `export`: a store as a picture, a table or a NetCDF file."""
+"""`plot`, `history` and `export`: a store as a picture, a table or a NetCDF file."""
 
+import itertools
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -7,10 +12,19 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sweeps.cli.arguments import NewFile, StorePath
-from sweeps.cli.errors import refuse, unreadable_refused
+from sweeps.cli.errors import complain, refuse, unreadable_refused
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.figure import Figure
+
+At = Annotated[
+    list[str] | None,
+    typer.Option(metavar="KEY=VALUE ...", help="values of other dimensions: --at Td=5 Kenv=100"),
+]
+# a command line has no option that takes several words: those after the first come as arguments
+More = Annotated[list[str] | None, typer.Argument(metavar="KEY=VALUE", hidden=True)]
+Force = Annotated[bool, typer.Option("--force", help="replace the file if it exists")]
 
 
 class Format(StrEnum):
@@ -23,31 +37,139 @@ class Format(StrEnum):
 
 def plot(
     path: StorePath,
-    x: Annotated[str, typer.Option(help="dimension of the horizontal axis")],
-    y: Annotated[str, typer.Option(help="dimension of the vertical axis")],
-    metric: Annotated[str, typer.Option(help="variable shown as colour")] = "nmse",
-    at: Annotated[
-        list[str] | None, typer.Option(metavar="KEY=VALUE", help="value of another dimension")
-    ] = None,
+    more: More = None,
+    x: Annotated[str | None, typer.Option(help="horizontal axis: dimension or field")] = None,
+    y: Annotated[str | None, typer.Option(help="vertical axis; without it, the metric")] = None,
+    metric: Annotated[str, typer.Option(help="what is shown")] = "nmse",
+    at: At = None,
     out: NewFile = None,
+    force: Force = False,
 ) -> None:
-    """Draw a heatmap of a metric over two dimensions."""
-    from figures import PlotError, save
-    from figures import plot as draw
+    """Draw a metric: a heatmap over two dimensions, a line over one, dots for a random design."""
+    values = _values(at, more)
+    wanted = _single(values)
+    _refuse_existing(out, force)
+    from figures import choose, draw
     from sweeps.store.opening import dataset
 
-    data, fixed = dataset(path), _fixed(at or [])
+    data = dataset(path)
+    with unreadable_refused(path), _plot_errors_refused(path):
+        picture = choose(data, x=x, y=y, metric=metric, at=wanted)
+    axes = [axis.name for axis in (picture.x, picture.y) if axis]
+    target = out or _named(path, metric, *axes, *_cut(picture.cut))
+    _refuse_existing(target, force)
+    _save(draw(picture), target, data)
+    _say_where(path, values, [picture.cut])
+
+
+def history(
+    path: StorePath,
+    more: More = None,
+    at: At = None,
+    out: NewFile = None,
+    force: Force = False,
+) -> None:
+    """Draw the motion of named cells, run anew. Several values of a KEY: a line for each."""
+    values = _values(at, more)
+    _refuse_existing(out, force)
+    from figures.history import History, select, simulate
+    from figures.history import plot as draw
+    from sweeps import runner
+    from sweeps.store.opening import dataset, open_store
+
+    data, store = dataset(path), open_store(path)
+    wanted = [dict(zip(values, cell, strict=True)) for cell in itertools.product(*values.values())]
+    with unreadable_refused(path), _plot_errors_refused(path):
+        cells = select(data, wanted)
+    cuts = [cell.cut for cell, _ in cells]
+    taken = {dim: ",".join(dict.fromkeys(cut[dim] for cut in cuts)) for dim in cuts[0]}
+    target = out or _named(path, "history", *_cut(taken))
+    _refuse_existing(target, force)
+    runner.configure(int(store.dtype.removeprefix("float")), "cpu")
+    motions = [History(cell, simulate(store.grid, index, store.dtype)) for cell, index in cells]
+    _save(draw(motions), target, data)
+    _say_where(path, values, cuts)
+
+
+def export(
+    path: StorePath,
+    to: Annotated[Format, typer.Option(help="format to write")],
+    out: NewFile = None,
+    force: Force = False,
+) -> None:
+    """Write a store as one table or one NetCDF file."""
+    from sweeps.export import SUFFIX, write
+    from sweeps.store.opening import dataset
+
+    target = out or Path(_store_name(path) + SUFFIX[to.value])
+    _refuse_existing(target, force)
+    data = dataset(path)
     with unreadable_refused(path):
-        try:
-            figure = draw(data, x=x, y=y, metric=metric, at=fixed)
-        except PlotError as error:
-            refuse(f"{path}: {error}")
-    target = out or Path(f"{data.attrs['name']}-{metric}.png")
+        rows = write(data, target, to.value)
+    print(f"wrote {target}, {rows:,} scenarios{_old_definition(data)}")
+
+
+def _refuse_existing(target: Path | None, force: bool) -> None:
+    if target is not None and not force and os.path.lexists(target):
+        refuse(f"{target}: exists already; --force replaces it, --out names another")
+
+
+def _store_name(path: Path) -> str:
+    return Path(os.path.abspath(path)).name.removesuffix(".zarr")
+
+
+def _named(path: Path, *parts: str) -> Path:
+    """The default name of a picture: the store, then what is drawn of it."""
+    return Path("-".join([_store_name(path), *parts]) + ".png")
+
+
+def _cut(values: Mapping[str, str]) -> list[str]:
+    return [f"{dim}={value}" for dim, value in values.items()]
+
+
+def _save(figure: "Figure", target: Path, data: "xr.Dataset") -> None:
+    from figures import save
+
     try:
         save(figure, target)
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        refuse(f"{target}: can't be written: {error.strerror or error}")
+    except ValueError as error:
         refuse(f"{target}: can't be written: {error}")
     print(f"wrote {target}{_old_definition(data)}")
+
+
+@contextmanager
+def _plot_errors_refused(path: Path) -> Iterator[None]:
+    from figures import PlotError
+
+    try:
+        yield
+    except PlotError as error:
+        refuse(f"{path}: {error}")
+
+
+def _say_where(
+    path: Path, wanted: Mapping[str, list[str]], cuts: Sequence[Mapping[str, str]]
+) -> None:
+    """Warn of each value that was not run, and say where nobody chose."""
+    for dim, given in wanted.items():
+        taken = [cut[dim] for cut in cuts]
+        for value in given:
+            if not any(_same(value, one) for one in taken):
+                nearest = min(taken, key=lambda one: abs(float(one) - float(value)))
+                complain(f"warning: {path} has no {dim} = {value}; drawn is the nearest, {nearest}")
+    rest = {dim: value for dim, value in cuts[0].items() if dim not in wanted}
+    if rest:
+        print(f"cut at the middle of what --at does not name: --at {' '.join(_cut(rest))}")
+
+
+def _same(asked: str, taken: str) -> bool:
+    """Whether a value is the one that was asked for."""
+    try:
+        return math.isclose(float(asked), float(taken), rel_tol=1e-9)
+    except ValueError:
+        return asked == taken
 
 
 def _old_definition(data: "xr.Dataset") -> str:
@@ -58,30 +180,24 @@ def _old_definition(data: "xr.Dataset") -> str:
     return f"; its metrics are {data.attrs['metrics_definition_meaning']}" if old else ""
 
 
-def _fixed(at: list[str]) -> dict[str, str]:
-    """`--at KEY=VALUE`: dimension -> its value."""
-    fixed: dict[str, str] = {}
-    for text in at:
-        key, _, value = (part.strip() for part in text.partition("="))
-        if not (key and value):
-            refuse(f"--at {text}: must be KEY=VALUE, as in --at Td=5")
-        if key in fixed:
-            refuse(f"--at {key}={value}: {key} is given twice")
-        fixed[key] = value
-    return fixed
+def _values(at: list[str] | None, more: list[str] | None) -> dict[str, list[str]]:
+    """`--at KEY=VALUE ...`: dimension -> its values; VALUE alone is another one of the last KEY."""
+    values: dict[str, list[str]] = {}
+    key = ""
+    for text in (*(at or ()), *(more or ())):
+        for part in text.split(","):
+            before, equals, after = (word.strip() for word in part.rpartition("="))
+            key = before if equals else key
+            if not (key and after) or "=" in key:
+                refuse(f"--at {text}: must be KEY=VALUE, as in --at Td=5")
+            values.setdefault(key, []).append(after)
+    return values
 
 
-def export(
-    path: StorePath,
-    to: Annotated[Format, typer.Option(help="format to write")],
-    out: NewFile = None,
-) -> None:
-    """Write a store as one table or one NetCDF file."""
-    from sweeps.export import SUFFIX, write
-    from sweeps.store.opening import dataset
-
-    data = dataset(path)
-    target = out or Path(f"{data.attrs['name']}{SUFFIX[to.value]}")
-    with unreadable_refused(path):
-        rows = write(data, target, to.value)
-    print(f"wrote {target}, {rows:,} scenarios{_old_definition(data)}")
+def _single(values: Mapping[str, list[str]]) -> dict[str, str]:
+    """One value of each dimension. Refuses a second one: a picture is cut at one place."""
+    for key, given in values.items():
+        if len(given) > 1:
+            both = " and ".join(given)
+            refuse(f"--at {key}: is given twice, {both}; `fic-sweep history` draws several")
+    return {key: given[0] for key, given in values.items()}

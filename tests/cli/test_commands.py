@@ -139,20 +139,6 @@ def test_expectation_is_a_dimension_like_any_choice(folder):
     assert typed("plot", "tiny.zarr", *options).code == 0
 
 
-@pytest.mark.parametrize(
-    ("options", "file", "magic"),
-    [
-        (["--metric", "nmse_tail"], "tiny-nmse_tail.png", b"\x89PNG"),
-        (["--out", "a.pdf"], "a.pdf", b"%PDF"),
-        (["--out", "a.svg"], "a.svg", b"<?xml"),
-    ],
-)
-def test_plot_writes_a_picture(ran, options, file, magic):
-    done = typed("plot", "tiny.zarr", "--x", "Td", "--y", "K0", *options)
-    assert done.stdout == f"wrote {file}\n"
-    assert (ran / file).read_bytes().startswith(magic)
-
-
 def test_export_writes_a_table_and_replaces_none(ran):
     with xr.open_zarr("tiny.zarr", chunks=None) as data:
         for to, read in (("csv", pd.read_csv), ("parquet", pd.read_parquet)):

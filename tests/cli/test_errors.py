@@ -40,7 +40,10 @@ WRONG_WITH_STORE = [
     ([*PLOT, "--out", "none/a.png"], "none/a.png: can't be written: "),
     ([*PLOT[:3], "Kenv", *PLOT[4:]], "tiny.zarr: 'Kenv' does not vary here: it is 100 N*m/rad."),
     ([*PLOT, "--at", "sigma"], "--at sigma: must be KEY=VALUE, as in --at Td=5"),
-    ([*PLOT, "--at", "a=1", "--at", "a=2"], "--at a=2: a is given twice"),
+    (
+        [*PLOT, "--at", "a=1", "--at", "a=2"],
+        "--at a: is given twice, 1 and 2; `fic-sweep history` draws several",
+    ),
     (
         [*PLOT, "--metric", "nmse_error"],
         "tiny.zarr: There is no 'nmse_error': the store has no error estimates; "

@@ -25,6 +25,7 @@ COMMANDS = [
     "verify",
     "status",
     "plot",
+    "history",
     "export",
     "bench",
     "report",
