@@ -3,8 +3,9 @@
 from fic_jax._version import NUMERICS, __version__
 from fic_jax.accuracy import TRUST, Bound, evaluate_with_error, trusted
 from fic_jax.engine import histories, sweep, tune_for_throughput
+from fic_jax.inputs import ParamsError
 from fic_jax.metrics import METRICS, Metrics, evaluate
-from fic_jax.params import CHOICES, QUANTITIES, Model, Params, ParamsError
+from fic_jax.params import CHOICES, QUANTITIES, Model, Params
 from fic_jax.profile import energy, force
 from fic_jax.simulation import SIGNALS, Memory, Sample, State, control, init, rollout, step
 

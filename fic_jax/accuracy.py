@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 
 from fic_jax.events import FLAT
+from fic_jax.inputs import Scalar, transferred
 from fic_jax.metrics import Metrics, Run, deviation, reachable, run_by_steps
-from fic_jax.params import Model, Params, Scalar
+from fic_jax.params import Model, Params
 from fic_jax.piece import rounding
 from fic_jax.simulation import checked
 
@@ -73,13 +74,13 @@ def evaluate_with_error(
     Raises ParamsError if a value is out of bounds. Values under the caller's jit or vmap are not
     checked.
     """
-    p, dt = checked(params, dt, n_steps)
-    return compiled_estimated(p, model, dt, n_steps)
+    p, dt, n_steps = checked(params, dt, n_steps, model)
+    return transferred(compiled_estimated, p, dt, model=model, n_steps=n_steps)
 
 
 @partial(jax.jit, static_argnames=("model", "n_steps"))
 def compiled_estimated(
-    p: Params, model: Model, dt: Scalar, n_steps: int
+    p: Params, dt: Scalar, model: Model, n_steps: int
 ) -> tuple[Metrics, Metrics]:
     """`evaluate_with_error` on canonical numbers."""
     return estimated(p, model, dt, n_steps, run_by_steps)

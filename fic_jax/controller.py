@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 
+from fic_jax.inputs import Scalar
 from fic_jax.lanes.hints import where_rare
-from fic_jax.params import Model, Params, Scalar
-from fic_jax.profile import energy, force
+from fic_jax.params import Model, Params
+from fic_jax.profile import E_K, F_K
 
 REST_BAND = 0.01  # rad/s, below which `velocity_band` counts the joint as at rest
 
@@ -71,8 +72,8 @@ def converging_slopes(e_M: Scalar, p: Params, model: Model) -> Slopes:
     """
     linear = jnp.abs(e_M) <= p.x0
     per_e_M = 1.0 / jnp.where(linear, p.x0, e_M)  # a safe divisor: no 0/0 in the gradient
-    by_energy = jnp.where(linear, 2.0 * p.K0, 4.0 * energy(e_M, p) * per_e_M**2)
-    by_effort = jnp.where(linear, 2.0 * p.K0, 2.0 * force(e_M, p) * per_e_M)
+    by_energy = jnp.where(linear, 2.0 * p.K0, 4.0 * E_K(e_M, p) * per_e_M**2)
+    by_effort = jnp.where(linear, 2.0 * p.K0, 2.0 * F_K(e_M, p) * per_e_M)
     inner = by_effort if model.law == "effort" else by_energy
     outer = by_energy if model.law == "energy" else by_effort
     return Slopes(inner, outer, e_M)
@@ -120,4 +121,4 @@ def unlimited_torque(e: Scalar, attractor: Attractor, p: Params) -> jax.Array:
     """
     slopes = attractor.slopes
     slope = jnp.where(jnp.abs(e) <= p.x0, slopes.inner, slopes.outer)
-    return jnp.where(attractor.diverging, force(e, p), slope * (e - 0.5 * attractor.e_M))
+    return jnp.where(attractor.diverging, F_K(e, p), slope * (e - 0.5 * attractor.e_M))

@@ -3,7 +3,8 @@
 import jax
 import jax.numpy as jnp
 
-from fic_jax.params import Model, Params, Scalar
+from fic_jax.inputs import Scalar
+from fic_jax.params import Model, Params
 
 
 def in_contact(x: Scalar, p: Params, model: Model) -> jax.Array:

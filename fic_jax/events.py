@@ -11,8 +11,9 @@ import jax
 import jax.numpy as jnp
 
 from fic_jax.controller import REST_BAND, Attractor, Slopes
+from fic_jax.inputs import Scalar
 from fic_jax.lanes.hints import where_rare
-from fic_jax.params import Model, Params, Scalar
+from fic_jax.params import Model, Params
 from fic_jax.piece import (
     Arrival,
     Path,

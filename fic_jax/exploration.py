@@ -3,7 +3,8 @@
 import jax
 import jax.numpy as jnp
 
-from fic_jax.params import Model, Params, Scalar, steps_per_period
+from fic_jax.inputs import Scalar
+from fic_jax.params import Model, Params, steps_per_period
 
 
 def expected_reference(p: Params) -> Scalar:

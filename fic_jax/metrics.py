@@ -15,10 +15,11 @@ import numpy as np
 
 from fic_jax.environment import in_contact, interaction_torque
 from fic_jax.events import Interval
+from fic_jax.inputs import Scalar, transferred
 from fic_jax.lanes.hints import where_rare
-from fic_jax.params import Model, Params, Scalar
+from fic_jax.params import Model, Params
 from fic_jax.piece import rounding
-from fic_jax.simulation import Progress, checked, init, plant_step, step_to_switch, with_slopes
+from fic_jax.simulation import Progress, checked, initial, plant_step, step_to_switch, with_slopes
 
 SETTLING_BAND = 0.05  # the torque has converged while |T/T_n - 1| is at most this
 SETTLED_PART = 0.05  # of the run, at least, that a torque which has converged stays in the band
@@ -134,7 +135,7 @@ def update(
     A joint that moves by less than `rest` (rad) in a plant step counts as at rest: its branch is
     the sign of rounding errors.
     """
-    ends, T, at = interval.ends_step, interval.T, k.astype(acc.T.dtype)
+    ends, T, at = interval.ends_step, interval.T, jnp.asarray(k, acc.T.dtype)
     far, last = deviation(T, p), acc.settled
     inside = jnp.abs(far) <= SETTLING_BAND  # false for NaN
 
@@ -217,15 +218,15 @@ def evaluate(params: Params, *, model: Model = Model(), dt: Scalar, n_steps: int
     Raises ParamsError if a value is out of bounds. Values under the caller's jit or vmap are not
     checked.
     """
-    p, dt = checked(params, dt, n_steps)
-    return compiled_evaluate(p, model, dt, n_steps)
+    p, dt, n_steps = checked(params, dt, n_steps, model)
+    return transferred(compiled_evaluate, p, dt, model=model, n_steps=n_steps)
 
 
 Run = tuple[Metrics, Scalar]  # the metrics of a run, and T at its end, N*m
 
 
 @partial(jax.jit, static_argnames=("model", "n_steps"))
-def compiled_evaluate(p: Params, model: Model, dt: jax.Array, n_steps: int) -> Metrics:
+def compiled_evaluate(p: Params, dt: jax.Array, model: Model, n_steps: int) -> Metrics:
     """`evaluate` on canonical numbers."""
     return run_by_steps(p, model, dt, n_steps)[0]
 
@@ -255,7 +256,7 @@ def run_by_steps(
 
         return plant_step(p, state, model, h, see, acc)
 
-    start = (with_slopes(p, init(p, model)), empty(p, model))
+    start = (with_slopes(p, initial(p, model)), empty(p, model))
     state, acc = jax.lax.fori_loop(np.int32(0), np.int32(n), body, start, unroll=unroll)
     return finish(acc, state.x, state.v, n, tail, p, h), acc.T
 
@@ -282,7 +283,7 @@ def run_by_intervals(
     def unfinished(carry: Any) -> Any:
         return carry[0].k < np.int32(n)
 
-    start = with_slopes(p, init(p, model)), Progress.none(p.x_init), empty(p, model)
+    start = with_slopes(p, initial(p, model)), Progress.none(p.x_init), empty(p, model)
     carry = jax.lax.fori_loop(np.int32(0), np.int32(n), lambda _, carry: body(carry), start)
     state, _, acc = jax.lax.while_loop(unfinished, body, carry)
     return finish(acc, state.x, state.v, n, tail, p, h), acc.T

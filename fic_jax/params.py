@@ -2,22 +2,25 @@
 
 import dataclasses
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from fic_jax.inputs import (
+    ParamsError,
+    Scalar,
+    UnknownFieldError,
+    alike,
+    expect,
+    float_type,
+    on_host,
+    real,
+    strong,
+)
+
 MAX_TICKS = 2**31 - 1  # plant steps of a control period are counted in int32
-Scalar: TypeAlias = Any  # a float, a 0-d array or a tracer: the physics is for one scenario
-
-
-class ParamsError(ValueError):
-    """A wrong value: `key` names it, `value` is the value, `wanted` says which would be right."""
-
-    def __init__(self, key: str, value: object, wanted: str):
-        super().__init__(f"`{key}` must be {wanted}, but is {value}.")
-        self.key, self.value, self.wanted = key, value, wanted
 
 
 def _quantity(default: float, unit: str, meaning: str, bound: str = "finite") -> Any:
@@ -48,8 +51,22 @@ class Params:
     x_init: Scalar = _quantity(0.0, "rad", "initial position")
     v_init: Scalar = _quantity(0.0, "rad/s", "initial velocity")
 
+    def __new__(cls, *_: Any, **named: Any) -> "Params":
+        """Raise UnknownFieldError for a field that Params does not have."""
+        return _with_known_fields(cls, named)
+
 
 QUANTITIES = {f.name: f.metadata for f in dataclasses.fields(Params)}
+Record = TypeVar("Record")
+
+
+def _with_known_fields(cls: type[Record], named: dict[str, Any]) -> Record:
+    """A new object, if its class has the named fields."""
+    known = cls.__dataclass_fields__  # type: ignore[attr-defined]
+    if unknown := [name for name in named if name not in known]:
+        raise UnknownFieldError(cls.__name__, unknown[0], named[unknown[0]], known)
+    return object.__new__(cls)
+
 
 Law = Literal["algorithm1", "effort", "energy"]
 Divergence = Literal["velocity", "error_rate", "velocity_band"]
@@ -78,7 +95,7 @@ class Model:
     contact: `hard_stop` (undamped rebound, does not pull), `damped_rebound` or `welded`.
     integrator: `rk4`, Simulink's ode4; `rk4_events`, RK4 with its switches located in the step.
 
-    Raises ParamsError if a choice is not one of these.
+    Raises ParamsError if a choice is not one of these, or if there is no such choice.
     """
 
     law: Law = "algorithm1"
@@ -88,6 +105,10 @@ class Model:
     feedback: Feedback = "interaction"
     contact: Contact = "hard_stop"
     integrator: Integrator = "rk4"
+
+    def __new__(cls, *_: Any, **named: Any) -> "Model":
+        """Raise UnknownFieldError for a choice that Model does not have."""
+        return _with_known_fields(cls, named)
 
     # Checked here, unlike Params: a Model is no pytree, so JAX makes none with tracers.
     def __post_init__(self) -> None:
@@ -122,18 +143,23 @@ _BOUNDS = {
 def canonical(params: Params) -> Params:
     """The parameters with all leaves in one strong float dtype: numbers and arrays trace alike.
 
-    JAX's promotion of the leaves gives the dtype: float32 by default, float64 with x64 on. Integers
-    become floats.
+    It is the widest one of the leaves that are floats, at least float32; without such a leaf it is
+    JAX's, float32 by default and float64 with x64 on. Integers become floats. In `jax.shard_map`
+    all leaves vary over the mesh axes over which one of them varies.
+
+    Raises ParamsError for a leaf that is no real number.
     """
-    dtype = jnp.result_type(float, *jax.tree.leaves(params))
-    return jax.tree.map(lambda leaf: strong(leaf, dtype), params)
+    return alike(of_one_type("params", params))
 
 
-def strong(leaf: Scalar, dtype: Any) -> Scalar:
-    """A leaf as a strongly typed array. Floats, integers and arrays then share one compilation."""
-    if isinstance(leaf, jax.Array):
-        return jnp.asarray(leaf, dtype)
-    return np.asarray(leaf, dtype)  # 1 us; a transfer to the device takes 20
+def of_one_type(key: str, params: Any) -> Params:
+    """`canonical` without `alike`; `key` names the argument in a message."""
+    expect(key, params, Params, "Params(K0=100.0)")
+    leaves = {
+        name: real(name, value, QUANTITIES[name]["unit"]) for name, value in vars(params).items()
+    }
+    dtype = float_type(leaves.values())
+    return Params(**{name: strong(leaf, dtype) for name, leaf in leaves.items()})
 
 
 def steps_per_period(period: Scalar, dt: Scalar) -> jax.Array:
@@ -146,7 +172,8 @@ def check_field(name: str, values: Any, dt: float | None = None) -> None:
 
     `period` must also be a whole multiple of `dt`, within 1e-6: float32 rounds 0.01 by 2e-8.
     """
-    a = np.atleast_1d(np.asarray(values, np.float64))
+    numbers = on_host(real(name, values, QUANTITIES[name]["unit"]))
+    a = np.atleast_1d(np.asarray(numbers, np.float64))
     bound = QUANTITIES[name]["bound"]
     wanted = bound if bound == "finite" else f"{bound} and finite"
     with np.errstate(invalid="ignore"):
@@ -173,25 +200,33 @@ def check_scalars(params: Params) -> None:
             raise ParamsError(name, f"of shape {np.shape(leaf)}", wanted)
 
 
-def check_count(name: str, value: Any) -> None:
-    """Raise ParamsError unless `value` is a whole number of at least 1."""
-    if not isinstance(value, int | np.integer) or value < 1:
-        raise ParamsError(name, value, "a whole number, at least 1")
+def check_step(dt: Any) -> None:
+    """Raise ParamsError unless the plant step is a positive and finite number. Tracers pass."""
+    try:
+        number = real("dt", dt)
+    except ParamsError as error:
+        raise ParamsError("dt", error.value, "a positive number of seconds") from None
+    if isinstance(number, jax.core.Tracer):
+        return
+    if np.ndim(number):
+        raise ParamsError("dt", f"of shape {np.shape(number)}", "one number of seconds for all")
+    seconds = float(on_host(number))
+    if not (np.isfinite(seconds) and seconds > 0):
+        raise ParamsError("dt", f"{seconds:g}", "positive and finite")
 
 
-def check(params: Params, dt: float, n_steps: int = 1) -> None:
+def check(params: Params, dt: Scalar) -> None:
     """Raise ParamsError for the first wrong value; leaves may be `[N]` arrays.
 
     The public functions call it once, before JAX traces. Tracers have no values: they pass.
     """
-    check_count("n_steps", n_steps)
-    if any(isinstance(leaf, jax.core.Tracer) for leaf in [dt, *jax.tree.leaves(params)]):
-        return
-    if not (np.isfinite(dt) and dt > 0):
-        raise ParamsError("dt", f"{dt:g}", "positive and finite")
-    for name in QUANTITIES:
-        check_field(name, getattr(params, name), dt)
-    x0, xb = np.broadcast_arrays(np.asarray(params.x0), np.asarray(params.xb))
-    if (xb <= x0).any():
-        first = np.argmax(np.ravel(xb <= x0))
-        raise ParamsError("xb", f"{xb.flat[first]:g}", f"greater than x0 = {x0.flat[first]:g}")
+    check_step(dt)
+    known = {n: v for n, v in vars(params).items() if not isinstance(v, jax.core.Tracer)}
+    step = None if isinstance(dt, jax.core.Tracer) else float(on_host(dt))
+    for name, values in known.items():
+        check_field(name, values, step)
+    if {"x0", "xb"} <= known.keys():
+        x0, xb = np.broadcast_arrays(on_host(params.x0), on_host(params.xb))
+        if (xb <= x0).any():
+            first = np.argmax(np.ravel(xb <= x0))
+            raise ParamsError("xb", f"{xb.flat[first]:g}", f"greater than x0 = {x0.flat[first]:g}")

@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 
 from fic_jax.controller import Attractor
-from fic_jax.params import Params, Scalar
-from fic_jax.profile import energy
+from fic_jax.inputs import Scalar
+from fic_jax.params import Params
+from fic_jax.profile import E_K
 
 
 def potential(e: Scalar, attractor: Attractor, p: Params) -> jax.Array:
@@ -18,7 +19,7 @@ def potential(e: Scalar, attractor: Attractor, p: Params) -> jax.Array:
     """
     # The profile exceeds Fmax from Fmax/K0 on if K0 x0 > Fmax: the limited torque has no curve.
     overshoots = p.K0 * p.x0 > p.Fmax
-    U_K = jnp.where(overshoots, _cut(e, p.K0, p.Fmax), energy(e, p))
+    U_K = jnp.where(overshoots, _cut(e, p.K0, p.Fmax), E_K(e, p))
     return jnp.where(attractor.diverging, U_K, _converging(e, attractor, p))
 
 

@@ -20,8 +20,9 @@ import jax.numpy as jnp
 from fic_jax.controller import Attractor, Slopes, begin_branch, departs, torque, unlimited_torque
 from fic_jax.environment import in_contact, interaction_torque
 from fic_jax.exploration import expected_reference
+from fic_jax.inputs import Scalar
 from fic_jax.lanes.hints import where_rare
-from fic_jax.params import Model, Params, Scalar
+from fic_jax.params import Model, Params
 
 # Terms of the speed's series. Four are RK4. At 10 ms the median error of nmse is 2.3e-6 with four,
 # 1.3e-7 with five and 3.7e-8 with six, which take 0.05 of rk4's time more.

@@ -3,11 +3,32 @@
 import jax
 import jax.numpy as jnp
 
+from fic_jax.inputs import Scalar, real, strong, transferred
 from fic_jax.lanes.hints import where_rare
-from fic_jax.params import Params, Scalar
+from fic_jax.params import Params, canonical
 
 
 def force(e: Scalar, p: Params) -> jax.Array:
+    """Torque of the nonlinear spring (N*m) at the error `e` (rad): eq. 1, see `F_K`.
+
+    `e` is a scalar, or an array that broadcasts with the leaves of `p`. Checks no values, but that
+    they are real numbers (ParamsError).
+    """
+    p = canonical(p)
+    return transferred(_compiled_force, strong(real("e", e), p.K0.dtype), p)
+
+
+def energy(e: Scalar, p: Params) -> jax.Array:
+    """Energy of the nonlinear spring (J) at the error `e` (rad): eq. 2, see `E_K`.
+
+    `e` is a scalar, or an array that broadcasts with the leaves of `p`. Checks no values, but that
+    they are real numbers (ParamsError).
+    """
+    p = canonical(p)
+    return transferred(_compiled_energy, strong(real("e", e), p.K0.dtype), p)
+
+
+def F_K(e: Scalar, p: Params) -> jax.Array:
     """Torque F_K of the nonlinear spring (N*m) at the error `e` (rad): eq. 1, odd in e.
 
         F_K = sgn(e) * { K0 |e|                                  |e| <= x0
@@ -16,8 +37,6 @@ def force(e: Scalar, p: Params) -> jax.Array:
 
     with dF = Fmax - K0 x0 and b = (xb - x0)/S. At xb it jumps by dF exp(-S), 1e-8 N*m by default.
     If K0 x0 > Fmax, F_K exceeds Fmax between Fmax/K0 and xb; `controller.torque` limits it.
-
-    `e` is a scalar, or an array that broadcasts with the leaves of `p`. Checks no values.
     """
     size = jnp.abs(e)
     linear, saturated = size <= p.x0, size >= p.xb
@@ -39,14 +58,14 @@ def _decay(e_abs: Scalar, p: Params) -> jax.Array:
     return jnp.exp(beyond_x0 * (p.S / (p.xb - p.x0)))
 
 
-def energy(e: Scalar, p: Params) -> jax.Array:
+def E_K(e: Scalar, p: Params) -> jax.Array:
     """Energy E_K of the nonlinear spring (J) at the error `e` (rad): eq. 2, dE_K/de = F_K.
 
         E_K = { K0 e^2 / 2                                                      |e| <= x0
               { Fmax (|e| - x0) + K0 x0^2 / 2 - b dF (1 - exp(-(m - x0)/b))     otherwise
 
-    with m = min(|e|, xb), dF and b as in `force`. This is the integral of eq. 1; the printed
-    eq. 2 has stray signs. `e` is a scalar, or an array that broadcasts with the leaves of `p`.
+    with m = min(|e|, xb), dF and b as in `F_K`. This is the integral of eq. 1; the printed
+    eq. 2 has stray signs.
     """
     e_abs = jnp.abs(e)
     b = (p.xb - p.x0) / p.S
@@ -54,3 +73,6 @@ def energy(e: Scalar, p: Params) -> jax.Array:
     decay = jnp.where(e_abs < p.xb, _decay(e_abs, p), jnp.exp(-p.S))
     beyond = p.Fmax * (e_abs - p.x0) + 0.5 * p.K0 * p.x0**2 - b * dF * (1.0 - decay)
     return jnp.where(e_abs <= p.x0, 0.5 * p.K0 * e**2, beyond)
+
+
+_compiled_force, _compiled_energy = jax.jit(F_K), jax.jit(E_K)

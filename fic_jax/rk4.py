@@ -11,7 +11,8 @@ import jax.numpy as jnp
 
 from fic_jax.controller import Attractor, torque
 from fic_jax.environment import interaction_torque
-from fic_jax.params import Model, Params, Scalar
+from fic_jax.inputs import Scalar
+from fic_jax.params import Model, Params
 
 
 @jax.tree_util.register_dataclass

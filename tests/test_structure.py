@@ -13,17 +13,19 @@ PACKAGES = ("fic_jax", "sweeps", "figures", "benchmarks")
 
 # module of the physics -> modules of fic_jax that it may import
 ARROWS = {
-    "params": set(),
-    "profile": {"params", "lanes.hints"},
-    "controller": {"params", "profile", "lanes.hints"},
-    "exploration": {"params"},
-    "environment": {"params"},
-    "passivity": {"params", "profile", "controller"},
+    "inputs": set(),
+    "params": {"inputs"},
+    "profile": {"inputs", "params", "lanes.hints"},
+    "controller": {"inputs", "params", "profile", "lanes.hints"},
+    "exploration": {"inputs", "params"},
+    "environment": {"inputs", "params"},
+    "passivity": {"inputs", "params", "profile", "controller"},
     "stiffness": {"params"},
-    "rk4": {"params", "controller", "environment"},
-    "piece": {"params", "controller", "exploration", "environment", "lanes.hints"},
-    "events": {"params", "controller", "piece", "lanes.hints"},
+    "rk4": {"inputs", "params", "controller", "environment"},
+    "piece": {"inputs", "params", "controller", "exploration", "environment", "lanes.hints"},
+    "events": {"inputs", "params", "controller", "piece", "lanes.hints"},
     "simulation": {
+        "inputs",
         "params",
         "controller",
         "exploration",
@@ -32,8 +34,8 @@ ARROWS = {
         "events",
         "lanes.hints",
     },
-    "metrics": {"params", "environment", "piece", "events", "simulation", "lanes.hints"},
-    "accuracy": {"params", "piece", "events", "metrics", "simulation"},
+    "metrics": {"inputs", "params", "environment", "piece", "events", "simulation", "lanes.hints"},
+    "accuracy": {"inputs", "params", "piece", "events", "metrics", "simulation"},
 }
 # Rooms, each with all rooms that it may import: cli -> {paper, figures} -> runner -> store -> plan
 # -> spec -> fic_jax. The longest name that fits a module is its room.

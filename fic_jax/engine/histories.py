@@ -5,12 +5,20 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from fic_jax.engine.sweeping import length
-from fic_jax.params import QUANTITIES, Model, Params, ParamsError, check, check_count
-from fic_jax.simulation import SIGNALS, Sample, State, init, sampled_step, with_slopes
+from fic_jax.engine.sweeping import checked_fields, columns, length
+from fic_jax.inputs import ParamsError, count, on_host, transferred
+from fic_jax.params import QUANTITIES, Model, Params
+from fic_jax.simulation import (
+    SIGNALS,
+    Sample,
+    State,
+    initial,
+    sampled_step,
+    stacked,
+    with_slopes,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -32,32 +40,28 @@ def histories(
     """
     import xarray as xr  # half a second with pandas, and a sweep needs neither
 
-    check_count("every", every)
-    dtype = np.dtype(jnp.result_type(float, *jax.tree.leaves(batch)))
-    columns = {name: np.asarray(getattr(batch, name), dtype) for name in QUANTITIES}
-    n = length(list(columns.values()))
-    check(Params(**columns), dt, n_steps)
+    every = count("every", every)
+    fields, h, n_steps = checked_fields(batch, model, dt, n_steps, instead="rollout")
     if n_steps % every:
         raise ParamsError("every", every, f"a divisor of n_steps = {n_steps}")
-    params = Params(**{name: np.broadcast_to(c.reshape(-1), n) for name, c in columns.items()})
-    samples = _sampled(params, model, np.asarray(dt, dtype), n_steps // every, every)
+    params, shape = Params(*columns(fields)), {"n_samples": n_steps // every, "every": every}
+    with jax.ensure_compile_time_eval(), jax.disable_jit(False):  # as `sweep`
+        samples = on_host(transferred(_sampled, params, h, model=model, **shape))
     signals = {
-        name: (("scenario", "time"), np.asarray(getattr(samples, name)), _labels(about))
+        name: (("scenario", "time"), getattr(samples, name), _labels(about))
         for name, about in SIGNALS.items()
         if name != "t"
     }
-    steps = np.arange(every, n_steps + 1, every, dtype=dtype)
-    time = ("time", steps * np.asarray(dt, dtype), _labels(SIGNALS["t"]))
-    fields = {
-        name: (
-            "scenario" if c.size == n != 1 else (),
-            c if c.size == n != 1 else c.reshape(()),
-            _labels(about),
-        )
-        for (name, c), about in zip(columns.items(), QUANTITIES.values(), strict=True)
+    steps = np.arange(every, n_steps + 1, every, dtype=h.dtype)
+    time = ("time", steps * h, _labels(SIGNALS["t"]))
+    n = length(fields)
+    coordinates = {
+        name: ("scenario", c) if c.size == n != 1 else ((), c.reshape(()))
+        for name, c in fields.items()
     }
+    coordinates = {k: (*c, _labels(QUANTITIES[k])) for k, c in coordinates.items()}
     return xr.Dataset(
-        signals, {"time": time} | fields, {"dt": float(dt), **dataclasses.asdict(model)}
+        signals, {"time": time} | coordinates, {"dt": float(dt), **dataclasses.asdict(model)}
     )
 
 
@@ -66,24 +70,12 @@ def _labels(about: Any) -> dict[str, str]:
 
 
 @partial(jax.jit, static_argnames=("model", "n_samples", "every"))
-def _sampled(params: Params, model: Model, dt: jax.Array, n_samples: int, every: int) -> Sample:
-    """Samples with leaves [scenario, time].
-
-    With the XLA flags of sweeps, each iteration of a scan copies all outputs so far: 10,000 samples
-    of five scenarios took 1.4 s. So an inner scan has at most a hundred outputs.
-    """
-    inner = min(100, n_samples)
-    outer = -(-n_samples // inner)
+def _sampled(params: Params, dt: jax.Array, model: Model, n_samples: int, every: int) -> Sample:
+    """Samples with leaves [scenario, time]."""
 
     def one(p: Params) -> Sample:
-        def sample(state: Any, _: None) -> Any:
-            return _after(p, state, model, dt, every)
-
-        def some(state: Any, _: None) -> Any:
-            return jax.lax.scan(sample, state, length=inner)
-
-        samples = jax.lax.scan(some, with_slopes(p, init(p, model)), length=outer)[1]
-        return jax.tree.map(lambda leaf: leaf.reshape(-1)[:n_samples], samples)
+        start = with_slopes(p, initial(p, model))
+        return stacked(lambda state: _after(p, state, model, dt, every), start, n_samples)
 
     return jax.vmap(one)(params)
 
@@ -94,10 +86,10 @@ def _after(
     """The state after some plant steps, and the last one's sample, with the work of all."""
 
     def body(_: jax.Array, carry: tuple[State, Sample]) -> tuple[State, Sample]:
-        state, sample = sampled_step(p, carry[0], model, dt)
+        state, sample = sampled_step(p, carry[0], dt, model)
         return state, dataclasses.replace(sample, work=carry[1].work + sample.work)
 
-    first = sampled_step(p, state, model, dt)
+    first = sampled_step(p, state, dt, model)
     if steps == 1:
         return first
     after: tuple[State, Sample] = jax.lax.fori_loop(1, steps, body, first)

@@ -2,22 +2,22 @@
 
 import importlib.util
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, get_args, overload
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from fic_jax.accuracy import difference, estimated
 from fic_jax.engine.tuning import threads
 from fic_jax.engine.xla import in_blocks
+from fic_jax.inputs import ParamsError, count, expect, on_host, shown
 from fic_jax.lanes import Untranslatable, lane_map
 from fic_jax.lanes.sources import digest
 from fic_jax.metrics import Metrics, Run, blank, run_by_intervals, run_by_steps
-from fic_jax.params import QUANTITIES, Model, Params, ParamsError, check
+from fic_jax.params import QUANTITIES, Model, Params, check, check_step, of_one_type
 
 Backend = Literal["auto", "lanes", "xla", "pallas"]
 # Steps of rk4 in one iteration of XLA's time loop: two are 1.2 times faster than one, more only
@@ -87,25 +87,52 @@ def sweep(
     is chosen by name raises if it is not available; `auto` warns and uses `xla`.
     """
     if backend not in get_args(Backend):
-        raise ParamsError("backend", repr(backend), "one of " + ", ".join(get_args(Backend)))
-    dtype = np.dtype(jnp.result_type(float, *jax.tree.leaves(batch)))
-    with np.errstate(over="ignore", under="ignore"):  # checked as the inf or zero it becomes
-        leaves = [np.asarray(getattr(batch, name), dtype) for name in QUANTITIES]
-    n = length(leaves)
-    check(Params(*leaves), dt, n_steps)
-    devices = tuple(jax.local_devices())
-    program = _program(backend, model, n_steps, error_estimate, dtype, devices)
-    columns = [np.broadcast_to(leaf.reshape(-1), n) for leaf in leaves]
-    return program(columns, np.asarray(dt, dtype))
+        raise ParamsError("backend", shown(backend), "one of " + ", ".join(get_args(Backend)))
+    if not isinstance(error_estimate, bool):
+        raise ParamsError("error_estimate", shown(error_estimate), "True or False")
+    fields, h, n_steps = checked_fields(batch, model, dt, n_steps, instead="evaluate")
+    # compiled and run at once, whatever the caller traces or debugs
+    with jax.ensure_compile_time_eval(), jax.disable_jit(False):
+        devices = tuple(jax.local_devices())
+        program = _program(backend, model, n_steps, error_estimate, h.dtype, devices)
+        return program(columns(fields), h)
 
 
-def length(leaves: Sequence[np.ndarray]) -> int:
-    """N of leaves that are scalars or [N], in the order of QUANTITIES. Raises ParamsError."""
-    lengths = {leaf.shape for leaf in leaves if leaf.shape not in ((), (1,))} or {(1,)}
-    if len(lengths) > 1 or len(min(lengths)) > 1:
-        shapes = {k: leaf.shape for k, leaf in zip(QUANTITIES, leaves, strict=True) if leaf.ndim}
+def checked_fields(
+    batch: Params, model: Model, dt: float, n_steps: int, instead: str
+) -> tuple[dict[str, np.ndarray], np.ndarray, int]:
+    """Fields of scalars or [N], plant step and number of steps, on the host and in one dtype.
+
+    `instead` is the function that a message names to a caller who traces. Raises ParamsError.
+    """
+    expect("model", model, Model)
+    expect("batch", batch, Params, "Params(K0=[1.0, 10.0])")
+    for name, value in {**vars(batch), "dt": dt}.items():
+        if isinstance(value, jax.core.Tracer):
+            wanted = f"known outside of jit, vmap and grad (inside, use jax.vmap of {instead})"
+            raise ParamsError(name, "traced", wanted)
+    check_step(dt)
+    p = of_one_type("batch", batch)
+    fields = {name: np.asarray(on_host(leaf)) for name, leaf in vars(p).items()}
+    length(fields)
+    check(Params(**fields), dt)
+    return fields, np.asarray(on_host(dt), p.K0.dtype), count("n_steps", n_steps)
+
+
+def columns(fields: Mapping[str, np.ndarray]) -> list[np.ndarray]:
+    """Fields of scalars or [N] as columns [N]."""
+    n = length(fields)
+    return [np.broadcast_to(values.reshape(-1), n) for values in fields.values()]
+
+
+def length(fields: Mapping[str, np.ndarray]) -> int:
+    """N of fields that are scalars or [N]. Raises ParamsError."""
+    lengths = {values.shape for values in fields.values() if values.shape not in ((), (1,))}
+    shape, *others = lengths or {(1,)}
+    if others or len(shape) > 1:
+        shapes = {name: values.shape for name, values in fields.items() if values.ndim}
         raise ParamsError("batch", shapes, "scalars and [N] arrays of one length")
-    return min(lengths)[0]
+    return shape[0]
 
 
 def arithmetic(backend: Backend = "auto") -> str:

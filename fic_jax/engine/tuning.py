@@ -7,6 +7,7 @@ from importlib.metadata import version
 
 import jax
 
+from fic_jax.inputs import count
 from fic_jax.lanes import cores
 
 # XLA:CPU runs a loop's body as separate kernels, whose dispatch and memory traffic dominate; the
@@ -27,10 +28,10 @@ def tune_for_throughput(devices: int | None = None) -> None:
     which the backend `xla` needs. It does not replace flags that are set, and it adds none on a
     jaxlib that was not tried with them; in both cases it warns.
 
-    Raises RuntimeError if JAX has already started.
+    Raises RuntimeError if JAX has already started, ParamsError if `devices` is no number of cores.
     """
-    # raises once a backend is up
-    jax.config.update("jax_num_cpu_devices", cores() if devices is None else devices)
+    n = cores() if devices is None else count("devices", devices)
+    jax.config.update("jax_num_cpu_devices", n)  # raises once a backend is up
     if not version("jaxlib").startswith(TRIED_JAXLIB):
         tried = ", ".join(f"{v}x" for v in TRIED_JAXLIB)
         warnings.warn(

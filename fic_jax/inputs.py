@@ -1,0 +1,176 @@
+"""What a user may give: real numbers of Python, NumPy or JAX, and records; else a message."""
+
+import difflib
+import operator
+from collections.abc import Callable, Iterable
+from decimal import Decimal
+from numbers import Real
+from typing import Any, TypeAlias, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.dtypes import canonicalize_dtype
+
+Scalar: TypeAlias = Any  # a float, a 0-d array or a tracer: the physics is for one scenario
+MAX_SHOWN = 60  # characters of a wrong value in a message
+Tree = TypeVar("Tree")
+
+
+class ParamsError(ValueError):
+    """A wrong value: `key` names it, `value` is the value, `wanted` says which would be right."""
+
+    def __init__(self, key: str, value: object, wanted: str):
+        super().__init__(f"`{key}` must be {wanted}, but is {value}.")
+        self.key, self.value, self.wanted = key, value, wanted
+
+
+class UnknownFieldError(ParamsError, TypeError):
+    """A field that the record does not have. Python users expect a TypeError."""
+
+    def __init__(self, record: str, key: str, value: object, known: Iterable[str]):
+        super().__init__(key, value, f"a field of {record}")
+        self.args = (f"unknown field `{key}` of {record}{hint(key, known)}",)
+
+
+def hint(word: str, known: Iterable[str]) -> str:
+    """'; did you mean `x`?' if `word` resembles a known word, else all the known words."""
+    names = {name.lower(): name for name in known}
+    near = difflib.get_close_matches(word.lower(), names, n=1, cutoff=0.5)
+    if near:
+        return f"; did you mean `{names[near[0]]}`?"
+    return f"; known are {', '.join(names.values())}"
+
+
+def real(name: str, value: Any, unit: str = "1") -> Scalar:
+    """A real number or an array of them, as Python's float, NumPy's or JAX's array.
+
+    Raises ParamsError for all else: text, bools, complex numbers, dates, masked arrays, numbers
+    that carry a unit, and what NumPy can't turn into numbers.
+    """
+    if type(value) is float:
+        return value
+    array = value  # a tracer is a JAX array too
+    if not isinstance(value, jax.Array):
+        try:
+            array = None if _has_more_than_numbers(value) else np.asarray(value)
+            array = _as_floats(array) if array is not None and array.dtype == object else array
+        except Exception:  # a foreign __array__ may raise anything
+            array = None
+    if array is None or not _is_real(array.dtype):
+        of = "" if unit == "1" else f" in {unit}"
+        raise ParamsError(name, shown(value), f"a real number{of} or an array of real numbers")
+    return array
+
+
+def _has_more_than_numbers(value: Any) -> bool:
+    """Whether NumPy would drop a mask or a unit: of ndarray's subclasses, pint's, xarray's."""
+    if isinstance(value, np.ndarray) and type(value) not in (np.ndarray, np.memmap):
+        return True
+    holders = type(value), type(getattr(value, "data", None))
+    return any(hasattr(kind, word) for kind in holders for word in ("unit", "units"))
+
+
+def _as_floats(objects: np.ndarray) -> np.ndarray | None:
+    """Python's own numbers, such as fractions and long integers, as floats."""
+    if not all(isinstance(x, Real | Decimal) and not isinstance(x, bool) for x in objects.flat):
+        return None
+    return objects.astype(np.float64)
+
+
+def _is_real(dtype: Any) -> bool:
+    kind = getattr(dtype, "kind", "")
+    if kind != "V":
+        return kind in "fiu"
+    return jnp.issubdtype(dtype, np.floating) or jnp.issubdtype(dtype, np.integer)  # as bfloat16
+
+
+def shown(value: Any) -> str:
+    """A wrong value in a message: cut, in one line."""
+    if isinstance(value, jax.core.Tracer):
+        return f"traced, of type {value.dtype}"
+    text = " ".join(repr(value).split())
+    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}... ({type(value).__name__})"
+
+
+def float_type(leaves: Iterable[Scalar]) -> np.dtype:
+    """The dtype of a computation with these numbers (see `canonical`)."""
+    sizes = [
+        leaf.dtype.itemsize
+        for leaf in leaves
+        if hasattr(leaf, "dtype")
+        and leaf.dtype.kind not in "iu"
+        and jnp.issubdtype(leaf.dtype, np.floating)
+        and not getattr(leaf, "weak_type", False)
+    ]
+    if not sizes:
+        return np.dtype(jnp.result_type(float))
+    return np.dtype(canonicalize_dtype(np.float64 if max(sizes) > 4 else np.float32))
+
+
+def strong(leaf: Scalar, dtype: Any) -> Scalar:
+    """A leaf as a strongly typed array. Floats, integers and arrays then share one compilation."""
+    if isinstance(leaf, jax.Array):
+        return leaf if leaf.dtype == dtype and not leaf.weak_type else jnp.asarray(leaf, dtype)
+    with np.errstate(over="ignore", under="ignore"):  # checked as the inf or zero it becomes
+        return np.asarray(leaf, dtype)  # 1 us; a transfer to the device takes 20
+
+
+def alike(tree: Tree) -> Tree:
+    """Leaves that all vary over the mesh axes of `jax.shard_map` over which one of them varies.
+
+    A loop then carries the same types in and out: what starts as a constant gets mixed with what
+    varies. Nothing changes outside of `shard_map`, or with its `check_vma=False`.
+    """
+    leaves, structure = jax.tree.flatten(tree)
+    axes = [_varying(leaf) for leaf in leaves]
+    every = frozenset().union(*axes)
+    if not every:
+        return tree
+    missing = [tuple(sorted(every - own)) for own in axes]
+    cast = [jax.lax.pcast(*one, to="varying") for one in zip(leaves, missing, strict=True)]
+    return jax.tree.unflatten(structure, cast)
+
+
+def _varying(leaf: Scalar) -> frozenset[str]:
+    """The mesh axes over which a leaf varies."""
+    if not isinstance(leaf, jax.core.Tracer):
+        return frozenset()
+    return jax.typeof(leaf).manual_axis_type.varying
+
+
+def transferred(compiled: Callable[..., Any], *args: Any, **static: Any) -> Any:
+    """The result of a compiled function of host or device numbers, which vary `alike`.
+
+    A user's `jax.transfer_guard` is about transfers that nobody asked for. That of the numbers
+    which the user, or a default, gave on the host is none of them.
+    """
+    args = alike(args)
+    with jax.transfer_guard_host_to_device("allow"):
+        return compiled(*args, **static)
+
+
+def expect(key: str, value: Any, record: type, example: str = "") -> None:
+    """Raise ParamsError unless `value` is a record of this type."""
+    if not isinstance(value, record):
+        name = record.__name__
+        raise ParamsError(key, shown(value), f"a {name}, such as {example or f'{name}(...)'}")
+
+
+def count(name: str, value: Any) -> int:
+    """`value` as an int. Raises ParamsError unless it is a whole number of at least 1."""
+    wanted = "a whole number, at least 1"
+    if isinstance(value, jax.core.Tracer):
+        raise ParamsError(name, "traced by jit, vmap or grad", f"{wanted}, and static")
+    try:
+        number = 0 if isinstance(value, bool) else operator.index(on_host(value))
+    except TypeError:
+        number = 0
+    if number < 1:
+        raise ParamsError(name, shown(value), wanted)
+    return number
+
+
+def on_host(tree: Tree) -> Tree:
+    """JAX's arrays as NumPy's: an explicit transfer, which `jax.transfer_guard` lets pass."""
+    return jax.device_get(tree)
