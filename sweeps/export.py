@@ -37,7 +37,7 @@ def write(data: xr.Dataset, path: Path, to: str) -> int:
         partial.replace(place)
         if to == "csv":
             description = json.dumps(_description(data, place.name), indent=1)
-            place.with_name(place.name + DESCRIPTION).write_text(description, encoding="utf-8")
+            files(place, to)[1].write_text(description, encoding="utf-8")
     except ImportError as error:
         raise SweepError(f"--to {to}: needs {error.name}; pip install 'fic-jax[export]'") from None
     except OSError as error:
@@ -45,6 +45,11 @@ def write(data: xr.Dataset, path: Path, to: str) -> int:
     finally:
         partial.unlink(missing_ok=True)
     return int(data["status"].size)
+
+
+def files(path: Path, to: str) -> list[Path]:
+    """The files that `write` writes: a table, and beside a CSV its units and constants."""
+    return [path, path.with_name(path.name + DESCRIPTION)] if to == "csv" else [path]
 
 
 def tables(data: xr.Dataset) -> Iterator[pd.DataFrame]:

@@ -98,15 +98,17 @@ def export(
     force: Force = False,
 ) -> None:
     """Write a store as one table or one NetCDF file."""
-    from sweeps.export import SUFFIX, write
+    from sweeps.export import SUFFIX, files, write
     from sweeps.store.opening import dataset
 
     target = out or Path(_store_name(path) + SUFFIX[to.value])
-    _refuse_existing(target, force)
+    for file in files(target, to.value):
+        _refuse_existing(file, force)
     data = dataset(path)
     with unreadable_refused(path):
         rows = write(data, target, to.value)
-    print(f"wrote {target}, {rows:,} scenarios{_old_definition(data)}")
+    names = " and ".join(map(str, files(target, to.value)))
+    print(f"wrote {names}, {rows:,} scenarios{_old_definition(data)}")
 
 
 def _refuse_existing(target: Path | None, force: bool) -> None:

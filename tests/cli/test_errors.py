@@ -12,7 +12,10 @@ WRONG = [
     (["run", "paper-weldd"], "did you mean `paper-welded`?"),
     (["run", "none.toml"], "none.toml: there is no such file"),
     (["run", "tiny.toml", "--set", "K=3"], "--set K=3: unknown key `K`"),
-    (["run", "tiny.toml", "--set", "Td=0"], "tiny.toml: `constants.Td` must be non-zero"),
+    (
+        ["run", "tiny.toml", "--set", "Td=0"],
+        "tiny.toml with --set: `constants.Td` must be non-zero",
+    ),
     (["run", "tiny.toml", "--precision", "16"], "'16' is not one of '32', '64'"),
     (["run", "tiny.toml", "--chunk", "0"], "--chunk"),
     (["run", "tiny.toml", "--out", "tiny.toml/a.zarr"], "tiny.toml/a.zarr: can't be written"),
