@@ -1,6 +1,8 @@
 """Put whole files on the disk, so that neither a kill nor a power cut leaves half of one."""
 
+import errno
 import os
+import warnings
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -9,6 +11,10 @@ PARTIAL = ".partial"  # suffix of an unfinished file or folder; the next writer 
 
 # O_NOFOLLOW: a store from somebody else may contain a link to a file outside it.
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW | os.O_CLOEXEC
+
+# What a file system answers that lacks a call: locks on Lustre and NFS, fsync of a folder on SMB.
+UNSUPPORTED = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL}
+NO_FSYNC = UNSUPPORTED | {errno.EACCES, errno.EPERM, errno.EBADF, errno.EISDIR}
 
 
 def write(files: Mapping[Path, bytes]) -> None:
@@ -26,7 +32,7 @@ def write(files: Mapping[Path, bytes]) -> None:
                 _write_all(descriptor, content)
                 descriptors.append(descriptor)
             for descriptor in descriptors:  # after all writes: the disk takes them together
-                os.fsync(descriptor)
+                _fsync(descriptor)
         for path, partial in partials.items():
             os.replace(partial, path)
         for folder in dict.fromkeys(path.parent for path in files):
@@ -40,9 +46,13 @@ def write(files: Mapping[Path, bytes]) -> None:
 
 def sync(path: Path) -> None:
     """Fsync a file, or a folder and so the names in it."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
-        os.fsync(descriptor)
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except PermissionError as error:  # a folder that one may write in, but not list
+        _warn_without_fsync(error)
+        return
+    try:
+        _fsync(descriptor)
     finally:
         os.close(descriptor)
 
@@ -52,6 +62,24 @@ def sync_tree(folder: Path) -> None:
     for path in folder.rglob("*"):
         sync(path)
     sync(folder)
+
+
+def _fsync(descriptor: int) -> None:
+    """Fsync, or warn where the file system has none."""
+    try:
+        os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in NO_FSYNC:
+            raise
+        _warn_without_fsync(error)
+
+
+def _warn_without_fsync(error: OSError) -> None:
+    warnings.warn(
+        f"the file system refuses fsync ({error.strerror}): a power cut may damage finished blocks",
+        RuntimeWarning,
+        stacklevel=1,  # one place: Python shows it once
+    )
 
 
 def _write_all(descriptor: int, content: bytes) -> None:

@@ -4,11 +4,13 @@ A small SQLite database beside the arrays. Each row carries a checksum of itself
 bit is detected.
 """
 
+import fcntl
 import hashlib
 import json
 import os
 import re
 import sqlite3
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
@@ -17,11 +19,16 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
+from sweeps.store.fsync import UNSUPPORTED
+from sweeps.store.lock import warn_without_locks
+
 LEDGER = "ledger.sqlite"
 CHECKSUM = "ledger.sha256"  # of the whole ledger while no process writes; `sha256sum -c` reads it
 LARGEST_COPY = 1_000_000  # bytes: the ledger holds a copy of each metadata file up to this size
 
 DONE, PARTLY, SET_ASIDE = "done", "partly", "set aside"
+
+JOURNAL_CHECKS, JOURNAL_PAUSE = 50, 0.1  # s; a commit takes milliseconds
 
 SCHEMA = (
     "CREATE TABLE fixed (path TEXT PRIMARY KEY, body TEXT, content BLOB, sha256 TEXT)",
@@ -202,6 +209,9 @@ def _opened(path: Path, mode: str = "rw") -> Iterator[sqlite3.Connection]:
             raise LedgerError(f"{file.name} is no file")
     try:
         address = f"{path.absolute().as_uri()}?mode={mode}"
+        if not _has_locks(path.parent / "zarr.json"):
+            _wait_for_commit(path)
+            address += "&nolock=1"
         # timeout: a reader in another process holds the ledger for milliseconds
         with closing(sqlite3.connect(address, uri=True, timeout=60)) as database:
             # The commit is the deletion of the journal, which FULL does not fsync.
@@ -212,6 +222,39 @@ def _opened(path: Path, mode: str = "rw") -> Iterator[sqlite3.Connection]:
         if name.startswith(_REFUSED):
             raise OSError(None, f"{error}", str(path)) from None
         raise LedgerError(str(error)) from None
+
+
+def _has_locks(neighbour: Path) -> bool:
+    """Whether the file system of a file has the locks that SQLite wants.
+
+    Without them SQLite fails, or waits a minute for a lock that nobody holds. A neighbour of the
+    ledger is tried: a process that closes the ledger itself would lose SQLite's locks on it.
+    """
+    try:
+        descriptor = os.open(neighbour, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError:  # damaged, or no store: SQLite answers
+        return True
+    try:
+        fcntl.lockf(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in UNSUPPORTED:
+            warn_without_locks(error)
+            return False
+    finally:
+        os.close(descriptor)
+    return True
+
+
+def _wait_for_commit(path: Path) -> None:
+    """Wait for the end of another process's commit, which no lock shows.
+
+    A journal that stays is from a killed process: SQLite rolls it back.
+    """
+    journal = path.with_name(f"{path.name}-journal")
+    for _ in range(JOURNAL_CHECKS):
+        if not journal.exists():
+            return
+        time.sleep(JOURNAL_PAUSE)
 
 
 _REFUSED = tuple(f"SQLITE_{n}" for n in ("BUSY", "CANTOPEN", "FULL", "IOERR", "READONLY"))

@@ -4,12 +4,14 @@ import fcntl
 import json
 import os
 import socket
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from sweeps.spec.mistakes import SweepError, printable
+from sweeps.store.fsync import UNSUPPORTED
 
 LOCK = "owner.lock"
 
@@ -30,11 +32,22 @@ class Lock:
             _write(self.descriptor, block)
 
 
+def warn_without_locks(error: OSError) -> None:
+    """Warn that nothing keeps two processes apart."""
+    warnings.warn(
+        f"the file system has no locks ({error.strerror}): nobody keeps a second process out; "
+        "let no other change or read the store meanwhile",
+        RuntimeWarning,
+        stacklevel=1,  # one place: Python shows it once
+    )
+
+
 @contextmanager
 def locked(folder: Path) -> Iterator[Lock]:
     """Lock a folder. The system releases the lock when the process ends, also by a kill.
 
-    Raises SweepError with the process that holds it, OSError if the folder can't be written.
+    Where the file system has no locks, warns that nobody keeps a second process out. Raises
+    SweepError with the process that holds it, OSError if the folder can't be written.
     """
     # O_NOFOLLOW: a link could make us overwrite a file outside the store
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -46,6 +59,10 @@ def locked(folder: Path) -> Iterator[Lock]:
             note = _read(descriptor)
             who = printable(f"process {note.get('pid', '?')} on {note.get('host', '?')}")
             raise SweepError(f"{folder}: is being changed by {who}; wait for it to end") from None
+        except OSError as error:
+            if error.errno not in UNSUPPORTED:
+                raise
+            warn_without_locks(error)
         block = _read(descriptor).get("block")
         _write(descriptor, None)
         try:
