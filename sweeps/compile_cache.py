@@ -3,6 +3,8 @@
 import hashlib
 import os
 import platform
+import tempfile
+import warnings
 from pathlib import Path
 
 from sweeps.processor import extensions
@@ -20,15 +22,36 @@ def folder() -> Path | None:
     if chosen == "":
         return None
     try:
-        path = (Path(chosen) if chosen else _user_folder()) / _processor_name()
+        path = (_expanded(chosen) if chosen else _user_folder()) / _processor_name()
         path.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError):  # RuntimeError: the user has no home
+        tempfile.TemporaryFile(dir=path).close()
+    except (OSError, RuntimeError) as error:  # RuntimeError: the user has no home
+        if chosen:
+            why = getattr(error, "strerror", None) or error
+            warnings.warn(
+                f"{VARIABLE}={chosen}: can't be used ({why}): every run compiles again",
+                RuntimeWarning,
+                stacklevel=1,
+            )
         return None
-    return path if os.access(path, os.W_OK) else None
+    return path
+
+
+def _expanded(text: str) -> Path:
+    """A path from the environment: a job's file sets it without a shell that expands `~`, `$HOME`.
+
+    Raises OSError for a variable that is not set.
+    """
+    path = os.path.expandvars(os.path.expanduser(text))
+    if path.startswith("~") or "$" in path:
+        raise OSError(None, "it names a variable or a user that is not known")
+    return Path(path)
 
 
 def _user_folder() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fic-sweep"
+    """The folder for caches. XDG wants its path absolute, and a relative one ignored."""
+    chosen = os.path.expanduser(os.environ.get("XDG_CACHE_HOME", ""))
+    return (Path(chosen) if os.path.isabs(chosen) else Path.home() / ".cache") / "fic-sweep"
 
 
 def _processor_name() -> str:
