@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from fic_jax import Metrics, Params, sweep, tune_for_throughput
-from sweeps import compile_cache
+from sweeps import compile_cache, devices
 from sweeps.plan.grid import Block, Grid, cells_of
 from sweeps.provenance import differences, provenance
 from sweeps.spec.mistakes import SweepError
@@ -62,24 +62,19 @@ OnProgress = Callable[[Progress], None]
 
 
 def configure(precision: int, device: str | None = None) -> None:
-    """Set JAX up for sweeps, with a compile cache, before JAX starts.
+    """Set JAX up for sweeps, with a compile cache, and start it.
 
-    `device` is "cpu", "gpu" or None for JAX's choice. Raises SweepError if it does not exist.
+    `device` is "cpu", "gpu" or None for JAX's choice. Raises SweepError if it does not exist
+    or a variable of the environment keeps JAX from starting.
     """
+    devices.check_xla_flags()
     tune_for_throughput()
-    if device == "cpu":
-        jax.config.update("jax_platforms", "cpu")
-    elif device:
-        try:
-            jax.devices(device)
-        except RuntimeError:
-            needed = "a GPU needs a driver and `pip install 'jax[cuda12]'`"
-            raise SweepError(f"JAX {jax.__version__} finds no {device} here; {needed}") from None
     jax.config.update("jax_enable_x64", precision == 64)
     cache, users = compile_cache.folder(), jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
     if cache is not None and not users:
         jax.config.update("jax_compilation_cache_dir", str(cache))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    devices.start(device)
 
 
 def start(path: Path, plan: Sweep, chunk: int | None, precision: int) -> Store:

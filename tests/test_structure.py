@@ -40,7 +40,13 @@ ARROWS = {
 SPEC = {"fic_jax", "sweeps.spec"}
 PLAN = {*SPEC, "sweeps.plan"}
 STORE = {*PLAN, "sweeps.store"}
-RUNNER = {*STORE, "sweeps.runner", "sweeps.provenance", "sweeps.compile_cache"}
+RUNNER = {
+    *STORE,
+    "sweeps.runner",
+    "sweeps.provenance",
+    "sweeps.compile_cache",
+    "sweeps.devices",
+}
 ROOMS = {
     "fic_jax": {"fic_jax"},
     "fic_jax.lanes": {"fic_jax.lanes"},  # it could be a package of its own
@@ -50,6 +56,7 @@ ROOMS = {
     "sweeps.store": STORE,
     "sweeps.processor": set(),
     "sweeps.compile_cache": {"sweeps.processor"},
+    "sweeps.devices": SPEC,
     "sweeps.provenance": {"fic_jax", "sweeps"},  # sweeps: where the sources are
     "sweeps.runner": RUNNER,
     "sweeps.export": STORE,

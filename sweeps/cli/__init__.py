@@ -17,30 +17,32 @@ a command imports what it needs when it runs.
 """
 
 import sys
-import warnings
 from typing import Annotated
 
 import typer
 
 from sweeps.cli import bench, check, errors, library, output, process, report, run
+from sweeps.cli.arguments import Command
 
 app = typer.Typer(
     name="fic-sweep",
-    no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-app.command("list")(library.list_)
-app.command()(library.show)
-app.command()(run.run)
-app.command()(run.resume)
-app.command()(check.verify)
-app.command()(check.status)
-app.command()(output.plot)
-app.command()(output.export)
-app.command()(bench.bench)
-app.command()(report.report)
+app.command("list", cls=Command)(library.list_)
+for command in (
+    library.show,
+    run.run,
+    run.resume,
+    check.verify,
+    check.status,
+    output.plot,
+    output.export,
+    bench.bench,
+    report.report,
+):
+    app.command(cls=Command)(command)
 
 
 def _print_version(wanted: bool) -> None:
@@ -51,19 +53,22 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit(0)
 
 
-@app.callback()
+@app.callback(invoke_without_command=True)
 def _options(
+    context: typer.Context,
     version: Annotated[
         bool,
         typer.Option("--version", callback=_print_version, is_eager=True, help="print it and exit"),
     ] = False,
 ) -> None:
     """Sweep the Fractal Impedance Controller over any of its parameters."""
+    if context.invoked_subcommand is None:
+        print(context.get_help(), file=sys.stderr)
+        raise typer.Exit(2)
 
 
 def main() -> None:
     """Entry point. Exit codes: 0 done, 1 failed or interrupted, 2 the request was wrong."""
-    warnings.showwarning = lambda message, *_, **__: print(
-        f"fic-sweep: warning: {message}", file=sys.stderr
-    )
+    process.show_warnings_once()
+    process.forget_other_programs()
     process.exit_with(lambda: errors.dispatch(app))

@@ -3,7 +3,9 @@
 1: the run failed or was interrupted; finished blocks stay. 2: the request was wrong.
 """
 
+import os
 import sys
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -27,14 +29,19 @@ def dispatch(app: typer.Typer) -> int:
         return 1
     except Exception as error:
         message = _wrong_request(error)
-        if message is None:
-            raise
-        complain(message)
-        return 2
+        if message is not None:
+            complain(message)
+            return 2
+        if isinstance(error, OSError | MemoryError):  # the system refused, nobody knows what for
+            complain(f"failed: {error or 'out of memory'}")
+            return 1
+        raise
 
 
 def _wrong_request(error: Exception) -> str | None:
     """What to say if the request was wrong; None if the program was."""
+    if message := _variables_of_jax(error):
+        return message
     if hasattr(error, "format_message"):  # typer refused an option
         return " ".join(str(error.format_message()).split())
     from sweeps.spec.mistakes import SweepError
@@ -42,6 +49,17 @@ def _wrong_request(error: Exception) -> str | None:
     if isinstance(error, OSError) and error.filename:  # a name too long, a folder of another user
         return f"{error.filename}: {error.strerror}"
     return str(error) if isinstance(error, SweepError) else None
+
+
+def _variables_of_jax(error: Exception) -> str | None:
+    """What to say if JAX can't be imported with the variables that are set for it."""
+    found = [f"{name}={value}" for name, value in os.environ.items() if name.startswith("JAX_")]
+    for cause in (error, error.__context__):  # typer takes any ValueError for a wrong argument
+        frames = [frame for frame, _ in traceback.walk_tb(cause and cause.__traceback__)]
+        modules = {f.f_globals["__name__"] for f in frames if f.f_code.co_name == "<module>"}
+        if found and "jax" in modules:
+            return f"{' '.join(found)}: JAX can't start: {cause}"
+    return None
 
 
 def complain(message: str) -> None:

@@ -1,7 +1,8 @@
-"""Ctrl-C and SIGTERM: stop between two blocks, so that every finished block is on disk."""
+"""Ctrl-C, SIGTERM and SIGHUP: stop between two blocks, so that every finished block is on disk."""
 
 import os
 import signal
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -37,10 +38,12 @@ def stop_on_signals() -> Stop:
         if stop.requested:
             os._exit(1)  # finished blocks are on disk
         stop.requested = True
-        os.write(2, b"fic-sweep: stopping after this block; a second signal stops at once\n")
+        with suppress(OSError):  # the terminal may be gone
+            os.write(2, b"fic-sweep: stopping after this block; a second signal stops at once\n")
 
-    for signum in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(signum, request)
+    for signum in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signum != signal.SIGHUP or signal.getsignal(signum) != signal.SIG_IGN:  # nohup
+            signal.signal(signum, request)
     return stop
 
 

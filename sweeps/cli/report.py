@@ -23,7 +23,7 @@ def report(
         typer.Option(parser=folder, metavar="PATH", help="a folder that gets a copy as report.md"),
     ] = None,
     only: Annotated[
-        list[str] | None, typer.Option(metavar="ID", help="print these claims alone, as C12")
+        list[str] | None, typer.Option(metavar="ID", help="print these claims alone, as C12,C13")
     ] = None,
 ) -> None:
     """Compare the paper's claims with simulations. Writes report.md and .html, in some minutes."""
@@ -42,7 +42,8 @@ def report(
             print(f"{name}: {progress.cells:,} scenarios", flush=True)
         stop.after_block(progress)
 
-    claims = chosen(only or [])
+    names = [name.strip() for text in only or [] for name in text.split(",")]
+    claims = chosen([name for name in names if name])
     runner.configure(64)
     if only:
         for section in paper_report.sections(claims, say):
