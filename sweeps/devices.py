@@ -49,7 +49,7 @@ def start(device: str | None) -> None:
         finds = f"JAX {jax.__version__} finds no {device or 'such device'} here"
         if allowed and device != "cpu":
             why = f"JAX_PLATFORMS={allowed}: {finds}; unset the variable, or change it"
-        elif device == "gpu":
+        elif device and device != "cpu":
             why = f"{finds}; a GPU needs a driver and `pip install 'jax[cuda12]'`"
         else:
             why = f"JAX {jax.__version__} can't start: {' '.join(str(error).split())}"

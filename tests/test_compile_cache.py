@@ -74,10 +74,41 @@ def test_the_user_chooses_the_folder(tmp_path, monkeypatch):
     assert compile_cache.folder().parent == tmp_path / "all" / "fic-sweep"
 
 
-@pytest.mark.parametrize("folder", ["", "/proc/nowhere"], ids=["switched off", "not writable"])
-def test_no_folder_no_cache(folder, monkeypatch):
-    monkeypatch.setenv(compile_cache.VARIABLE, folder)
+def test_a_path_is_expanded_as_a_shell_would(tmp_path, monkeypatch):
+    """A job's file or a container sets the variable without a shell; a folder `~` was made."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    for value in ("~/mine", "$HOME/mine", "${HOME}/mine"):
+        monkeypatch.setenv(compile_cache.VARIABLE, value)
+        assert compile_cache.folder().parent == tmp_path / "home" / "mine"
+    monkeypatch.delenv(compile_cache.VARIABLE)
+    for value, folder in (("~/all", "home/all"), ("relative", "home/.cache"), ("", "home/.cache")):
+        monkeypatch.setenv("XDG_CACHE_HOME", value)
+        assert compile_cache.folder().parent == tmp_path / folder / "fic-sweep"
+    assert [p.name for p in tmp_path.iterdir()] == ["home"]
+
+
+def test_the_empty_name_switches_the_cache_off(monkeypatch):
+    monkeypatch.setenv(compile_cache.VARIABLE, "")
     assert compile_cache.folder() is None
+
+
+@pytest.mark.parametrize(
+    ("folder", "why"),
+    [
+        ("/proc/nowhere", "No such file or directory"),
+        ("$NOWHERE/a", "names a variable or a user that is not known"),
+        ("~nobody-of-this-name/a", "names a variable or a user that is not known"),
+        ("file/a", "Not a directory"),
+    ],
+)
+def test_a_folder_that_can_not_be_used_is_named_in_a_warning(folder, why, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv(compile_cache.VARIABLE, folder)
+    with pytest.warns(RuntimeWarning, match=why):
+        assert compile_cache.folder() is None
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
 def test_no_home_no_cache(monkeypatch):

@@ -73,5 +73,5 @@ def _options(
 def main() -> None:
     """Entry point. Exit codes: 0 done, 1 failed or interrupted, 2 the request was wrong."""
     process.show_warnings_once()
-    os.environ["MPLBACKEND"] = "agg"  # we draw into files; a notebook's backend may be missing here
+    process.forget_other_programs()
     process.exit_with(lambda: errors.dispatch(app))

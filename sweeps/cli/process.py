@@ -81,6 +81,17 @@ def use_any_streams() -> None:
         setattr(sys, name, usable)
 
 
+def forget_other_programs() -> None:
+    """Drop variables that are for the user's other work: they would change or end ours.
+
+    `ZARR_DEFAULT_ZARR_FORMAT=2` ends a run, GIT_DIR names another program's revision, and a
+    notebook's MPLBACKEND may not exist here.
+    """
+    for name in [name for name in os.environ if name.startswith(("ZARR_", "GIT_"))]:
+        del os.environ[name]
+    os.environ["MPLBACKEND"] = "agg"  # draws into files
+
+
 def show_warnings_once() -> None:
     """Print each warning for users once, as one line on stderr, whatever PYTHONWARNINGS says."""
     shown = set()

@@ -10,6 +10,7 @@ import xarray as xr
 
 import fic_jax
 from sweeps import runner
+from sweeps.paper import claims
 from tests.command import call, typed
 
 
@@ -155,3 +156,19 @@ def test_export_writes_a_table_and_replaces_none(ran):
             assert copy["K0"].attrs["units"] == "N*m/rad"
     again = typed("export", "tiny.zarr", "--to", "csv")
     assert (again.code, "tiny.csv: exists already" in again.stderr) == (2, True)
+
+
+def test_the_program_alone_prints_its_help():
+    alone = typed()
+    assert (alone.code, alone.stdout) == (2, "")
+    assert alone.stderr.startswith("Usage: fic-sweep ")
+    assert "\n  resume " in alone.stderr
+
+
+def test_only_takes_several_claims_in_one_value(monkeypatch):
+    chosen = []
+    monkeypatch.setattr(claims, "chosen", lambda ids: chosen.append(ids) or 1 / 0)
+    for only in (["c12,C13"], ["c12 , C13,"], ["c12", "--only", "C13"]):
+        with pytest.raises(ZeroDivisionError):
+            typed("report", "--only", *only)
+        assert chosen.pop() == ["c12", "C13"]

@@ -60,6 +60,7 @@ KEPT = (
     [
         ("compiling", [signal.SIGINT]),
         ("committing", [signal.SIGTERM]),
+        ("committing", [signal.SIGHUP]),
         ("committing", [signal.SIGINT, signal.SIGTERM]),
     ],
 )

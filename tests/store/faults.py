@@ -232,3 +232,12 @@ def build(left: dict[str, bytes | None], target: Path) -> None:
 def _listing(folder: Path) -> dict[str, int]:
     with os.scandir(folder) as entries:
         return {entry.name: entry.inode() for entry in entries}
+
+
+def refusing(number: int) -> Callable[..., None]:
+    """A system call that answers with an error, as a file system does that lacks it."""
+
+    def refuse(*_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    return refuse

@@ -1,10 +1,17 @@
+import errno
+import fcntl
 import hashlib
 import sqlite3
 from contextlib import closing
 
 import pytest
 
+from sweeps.store import ledger as ledger_module
 from sweeps.store.ledger import CHECKSUM, Ledger, LedgerError, _opened
+from sweeps.store.opening import open_store
+from sweeps.store.verify import verify
+from tests.store.faults import refusing
+from tests.store.stores import contents, run
 
 
 def test_a_commit_survives_a_power_cut(golden):
@@ -60,3 +67,40 @@ def test_an_index_that_lost_its_rows_is_damage(golden):
     ledger.path.write_bytes(content)
     with pytest.raises(LedgerError, match="index"):
         ledger.check()
+
+
+@pytest.fixture
+def without_locks(monkeypatch):
+    """As on a file system without locks. SQLite calls them itself, and would fail or wait."""
+    monkeypatch.setattr(fcntl, "lockf", refusing(errno.ENOLCK))
+    monkeypatch.setattr(fcntl, "flock", refusing(errno.ENOSYS))
+
+
+@pytest.mark.filterwarnings("ignore:the file system has no locks")
+def test_a_ledger_works_without_locks(golden, without_locks):
+    """Another connection holds the lock that SQLite would wait for."""
+    ledger = Ledger(golden / "ledger.sqlite")
+    with closing(sqlite3.connect(ledger.path, isolation_level=None)) as other:
+        other.execute("BEGIN EXCLUSIVE")
+        rows = list(ledger.rows())
+        ledger.insert(rows)
+        assert list(ledger.rows()) == rows
+
+
+def test_a_reader_without_locks_waits_for_a_commit(golden, without_locks, monkeypatch):
+    """It would take the journal of a live process for one that a kill left, and roll it back."""
+    journal = golden / "ledger.sqlite-journal"
+    journal.write_bytes(b"of a live process")
+    monkeypatch.setattr(ledger_module.time, "sleep", lambda _: journal.unlink())
+    with pytest.warns(RuntimeWarning, match="nobody keeps a second process out"):
+        assert list(Ledger(golden / "ledger.sqlite").rows())
+    assert not journal.exists()
+
+
+@pytest.mark.filterwarnings("ignore:the file system has no locks")
+def test_a_run_without_locks_gives_the_same_store(stores, quick, without_locks):
+    with stores.case() as path:
+        stores.create(path)
+        run(open_store(path))
+        assert contents(path) == stores.expected[5]
+        assert not verify(path).problems

@@ -1,3 +1,5 @@
+import errno
+import fcntl
 import os
 from contextlib import suppress
 
@@ -5,6 +7,7 @@ import pytest
 
 from sweeps.spec.mistakes import SweepError
 from sweeps.store.lock import LOCK, locked
+from tests.store.faults import refusing
 
 
 def test_a_second_lock_is_refused_with_the_process_that_holds_the_first(tmp_path):
@@ -28,3 +31,21 @@ def test_the_next_process_learns_the_block_of_a_kill(tmp_path):
         raise ZeroDivisionError
     with locked(tmp_path) as lock:
         assert lock.killed_in is None
+
+
+@pytest.mark.parametrize("number", [errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL])
+def test_a_file_system_without_locks_gets_a_warning(tmp_path, monkeypatch, number):
+    """Lustre without its option `flock`, and NFS without a lock daemon, answer so."""
+    monkeypatch.setattr(fcntl, "flock", refusing(number))
+    warning = f"has no locks \\({os.strerror(number)}\\): nobody keeps a second process out"
+    lock = locked(tmp_path)
+    with pytest.warns(RuntimeWarning, match=warning):
+        lock.__enter__().computing(7)
+    assert b'"block": 7' in (tmp_path / LOCK).read_bytes()
+    lock.__exit__(None, None, None)
+
+
+def test_another_error_is_an_error(tmp_path, monkeypatch):
+    monkeypatch.setattr(fcntl, "flock", refusing(errno.EIO))
+    with pytest.raises(OSError, match="Input/output error"), locked(tmp_path):
+        pass
