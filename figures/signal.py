@@ -53,7 +53,7 @@ def draw(ax: Axes, t: NDArray[Any], y: NDArray[Any], width: float, **look: Any) 
 
 
 def mark_cut(ax: Axes, curves: Sequence[tuple[NDArray[Any], NDArray[Any], Any]]) -> bool:
-    """Mark each of some curves (t, y, colour) that leaves an axis, and say how far the farthest goes.
+    """Mark each curve (t, y, colour) that leaves an axis, and say how far the farthest goes.
 
     Call it once the limits of the axis are final. Returns whether any curve leaves it.
     """

@@ -17,7 +17,7 @@ def plot(data: xr.Dataset) -> Figure:
         for i, colour in enumerate(style.ordered(data.sizes["ratio"])):
             run = data.isel(ratio=i)
             factor, length = float(run["predicted"]), float(run["round"])
-            text = f"ratio {float(run['ratio']):g}: swing × {factor:.2f} each round"
+            text = f"ratio {float(run['ratio']):g}: peak × {factor:.2f} each round"
             ax.plot(t, _rounds(run["swing"].values, t, length), color=colour, lw=0.9, label=text)
             derived = float(run["swing"][0]) * factor ** (t / length)
             linear = derived <= x0
@@ -32,7 +32,7 @@ def plot(data: xr.Dataset) -> Figure:
             xlabel="time (s)",
             ylabel="swing (rad)",
         )
-        title = "stiffness outwards to stiffness inwards"
+        title = "high to low stiffness, changed twice in each swing"
         fig.legend(loc="outside lower center", frameon=False, title=title)
     return fig
 

@@ -16,8 +16,12 @@ TORQUE = 5.0  # N*m, the paper's
 STIFFNESSES = (30.0, 100.0, 300.0, 1000.0)  # N*m/rad
 RULE = (0.01, 0.03, 0.1, 0.3)  # sigma at the lines of the rule of thumb
 ROWS = {"best_nmse": style.SEQUENTIAL, "gain_nmse": "cividis"}
-EDGES = {"largest": "....", "smallest": "////"}  # of the sweep -> hatch where the best is there
-INK: dict[str, Any] = {"hatchcolor": "white", "hatch_linewidth": 0.6, "linewidth": 0}
+# end of the sweep -> hatch of the cells whose best is there; the largest has a light colour
+EDGES: dict[str, dict[str, Any]] = {
+    "largest": {"hatch": "....", "hatchcolor": "0.2"},
+    "smallest": {"hatch": "////", "hatchcolor": "white"},
+}
+INK: dict[str, Any] = {"hatch_linewidth": 0.6, "linewidth": 0}
 LEAST_TOP = 1000.0  # times the best nmse, top of the lower colour bar
 
 
@@ -54,18 +58,18 @@ def plot(data: xr.Dataset) -> Figure:
         handles, labels = grid[0, -1].get_legend_handles_labels()
         for end, pattern in EDGES.items():
             if bool((here["best_nmse"] == ends[end]).any()):
-                handles.append(Patch(facecolor="0.75", hatch=pattern, **INK))
+                handles.append(Patch(facecolor="0.65", **pattern, **INK))
                 labels.append(rf"best is the {end} of the sweep, {ends[end]:g}")
         place: dict[str, Any] = {"loc": "outside lower center", "ncols": 3, "frameon": False}
         fig.legend(handles, labels, **place)
     return fig
 
 
-def _mark(ax: Axes, inside: xr.DataArray, pattern: str) -> None:
+def _mark(ax: Axes, inside: xr.DataArray, pattern: dict[str, Any]) -> None:
     """A hatch over cells of a map: beyond the sweep's edge sigma may be better still."""
     sides = [edges(inside[name].values.astype(float)) for name in ("Kenv", "Denv")]
     path = hatch.outline(inside.transpose("Denv", "Kenv").values, *sides)
-    ax.add_artist(PathPatch(path, facecolor="none", hatch=pattern, **INK))
+    ax.add_artist(PathPatch(path, facecolor="none", **pattern, **INK))
 
 
 def _rule(ax: Axes, data: xr.Dataset) -> None:

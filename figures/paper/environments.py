@@ -14,6 +14,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import NullFormatter
 
 from figures import style
 from figures.paper import look
@@ -48,7 +49,9 @@ def plot(data: tuple[xr.Dataset, ...]) -> Figure:
         for row, (metric, text) in zip(grid, METRICS.items(), strict=True):
             for ax, study in zip(row, data, strict=True):
                 _draw(ax, study[metric])
-            row[0].set(yscale="log", ylabel=f"normalised MSE,\n{text}")
+            drawn = np.concatenate([study[metric].values.ravel() for study in data])
+            row[0].set(yscale="log", ylim=look.decades(drawn), ylabel=f"normalised MSE,\n{text}")
+            row[0].yaxis.set_minor_formatter(NullFormatter())
         for ax, study in zip(grid[-1], data, strict=True):
             ax.set_xlabel(look.label(_field(study["nmse"])))
         place: dict[str, Any] = {"loc": "outside upper center", "ncols": 1, "frameon": False}

@@ -46,7 +46,7 @@ def plot(data: xr.Dataset) -> Figure:
             for ax, contact in zip(row, columns, strict=True):
                 _draw(ax, data[metric].sel(contact=contact))
                 _stated(ax, STATED.get((contact, metric)))
-            row[0].set(yscale="log", ylim=_decades(data[metric].values))
+            row[0].set(yscale="log", ylim=look.decades(data[metric].values))
             row[0].set_ylabel(f"normalised MSE,\n{ROWS[metric]}")
         for ax, contact in zip(grid[0], columns, strict=True):
             ax.set_title(TITLES[contact])
@@ -83,12 +83,6 @@ def _kind(estimate: float) -> dict[str, Any]:
 def _stated(ax: Axes, bound: float | None) -> None:
     if bound is not None:
         ax.axhline(bound, color=look.REFERENCE, lw=0.7, ls=(0, (4, 2)), zorder=0)
-
-
-def _decades(values: np.ndarray) -> tuple[float, float]:
-    """Whole decades around all positive values."""
-    drawn = np.log10(values[np.isfinite(values) & (values > 0)])
-    return 10.0 ** np.floor(drawn.min()), 10.0 ** np.ceil(drawn.max())
 
 
 def _legend(data: xr.Dataset) -> list[Line2D]:
