@@ -29,7 +29,6 @@ from typing import Any
 
 import jax
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -41,7 +40,7 @@ from benchmarks.scenarios import N_PERIODS, PERIOD, Kind, kinds
 from benchmarks.tables import Row, Table, render
 from fic_jax import QUANTITIES, Model, Params
 from fic_jax.engine.xla import LANES
-from figures.style import COLUMN_WIDTH, RC, SMALL_SIZE, save
+from figures.style import COLUMN_WIDTH, SMALL_SIZE, look, save
 from tests.reference.events import Irregular
 from tests.reference.taylor import ORDER
 
@@ -126,7 +125,7 @@ def _measured(child: Child, name: str, setting: float, n: int, some: int) -> Row
 
 def plot(points: list[Row]) -> Figure:
     """Error of nmse over cost, one curve for each method."""
-    with rc_context(RC):
+    with look():
         figure = Figure(figsize=(COLUMN_WIDTH, 2.9))
         axes = figure.add_subplot()
         axes.set(xscale="log", yscale="log")
@@ -147,9 +146,9 @@ def plot(points: list[Row]) -> Figure:
 def _draw(axes: Axes, method: Method, points: list[Row], most: float) -> None:
     """One curve and its name: right of the last point, or left of it near the end of the axis."""
     costs = [p["microseconds"] for p in points]
-    look: dict[str, Any] = {"color": method.colour, "marker": method.marker, "markersize": 3.0}
-    axes.plot(costs, [p["high"] for p in points], **look, lw=0.8, alpha=0.5, ls="--", mfc="white")
-    axes.plot(costs, [p["median"] for p in points], **look, lw=1.0)
+    kind: dict[str, Any] = {"color": method.colour, "marker": method.marker, "markersize": 3.0}
+    axes.plot(costs, [p["high"] for p in points], **kind, lw=0.8, alpha=0.5, ls="--", mfc="white")
+    axes.plot(costs, [p["median"] for p in points], **kind, lw=1.0)
     ends = costs[-1] > 0.3 * most
     axes.annotate(
         method.name,

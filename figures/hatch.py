@@ -52,7 +52,7 @@ def under(plane: Plane) -> Iterator[PathPatch]:
     coarse = np.where(sample > 0, sample, coarse)
     for kind, key in enumerate(plane.special, start=1):
         # antialiasing would draw seams between neighbouring rectangles
-        yield PathPatch(_path(coarse == kind, x, y), zorder=0.5, antialiased=False, **_look(key))
+        yield PathPatch(outline(coarse == kind, x, y), zorder=0.5, antialiased=False, **_look(key))
 
 
 def over(plane: Plane) -> Iterator[PathPatch]:
@@ -61,7 +61,7 @@ def over(plane: Plane) -> Iterator[PathPatch]:
         return
     rows, columns, x, y = _sampled(plane)
     # a coarse cell is what its first cell is, so that the hatch covers the true share of cells
-    path = _path(plane.untrusted[np.ix_(rows, columns)], x, y)
+    path = outline(plane.untrusted[np.ix_(rows, columns)], x, y)
     for zorder, look in zip((1.1, 1.2), _OVERLAY, strict=True):
         yield PathPatch(path, zorder=zorder, **look)
 
@@ -74,7 +74,7 @@ def _sampled(plane: Plane) -> tuple[NDArray[np.intp], NDArray[np.intp], Edges, E
     return rows, columns, x, y
 
 
-def _path(cells: Cells, x: Edges, y: Edges) -> Path:
+def outline(cells: Cells, x: Edges, y: Edges) -> Path:
     """The cells between edges `x` and `y` as one path: a rectangle for each run along x."""
     change = np.diff(np.pad(cells.astype(np.int8), ((0, 0), (1, 1))), axis=1)
     row, start = np.nonzero(change == 1)
@@ -101,7 +101,7 @@ def bands(edges: Edges, special: Mapping[str, Cells]) -> Iterator[tuple[Path, di
     A band is from 0 to 1 across the axis.
     """
     for key, cells in special.items():
-        yield _path(cells[None, :], edges, np.array([0.0, 1.0])), _look(key)
+        yield outline(cells[None, :], edges, np.array([0.0, 1.0])), _look(key)
 
 
 def legend_entries(parts: Sequence[Of]) -> dict[str, Handle]:

@@ -1,15 +1,19 @@
 """A signal over time: a line, or, where it oscillates too fast for one, the band that it fills."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
+from figures import style
+
 STRETCH = 4.0  # point; a line that turns twice in it is ink
 TURNS = 2  # in a stretch: the median of the WINDOW around it
 WINDOW = 9  # stretches; without it a signal near the limit changes its look at each stretch
 LEAST = 0.03  # of the signal's range; a smaller rise or fall is hardly thicker than a line
+CUT = "triangle: goes on beyond the axis"  # in a legend
 LABEL = "band: range of a fast oscillation"  # in a legend
 BAND = 0.3  # opacity: a line in front of a band, and one behind it, is seen
 
@@ -46,6 +50,31 @@ def draw(ax: Axes, t: NDArray[Any], y: NDArray[Any], width: float, **look: Any) 
         zorder=line.get_zorder() - 0.1,
     )
     return True
+
+
+def mark_cut(ax: Axes, curves: Sequence[tuple[NDArray[Any], NDArray[Any], Any]]) -> bool:
+    """Mark each curve (t, y, colour) that leaves an axis, and say how far the farthest goes.
+
+    Call it once the limits of the axis are final. Returns whether any curve leaves it.
+    """
+    any_cut = False
+    for end, marker, farthest in (
+        (ax.get_ylim()[1], "^", np.nanargmax),
+        (ax.get_ylim()[0], "v", np.nanargmin),
+    ):
+        up = marker == "^"
+        peaks = [(t[i := int(farthest(y))], y[i], colour) for t, y, colour in curves]
+        cut = [peak for peak in peaks if (peak[1] > end if up else peak[1] < end)]
+        for at, _, colour in cut:
+            ax.plot(at, end, marker, color=colour, ms=4, mew=0, clip_on=False, zorder=4)
+        if cut:
+            at, value, _ = max(cut, key=lambda peak: abs(peak[1]))
+            inside = "top" if up else "bottom"
+            look: dict[str, Any] = {"fontsize": style.SMALL_SIZE, "va": inside}
+            text = f"to {style.number(float(value), 2 if abs(value) < 99.5 else 3)}"
+            ax.annotate(text, (at, end), (4, 0), textcoords="offset points", **look)
+        any_cut |= bool(cut)
+    return any_cut
 
 
 def stretches(t: NDArray[Any], width: float) -> NDArray[np.intp]:

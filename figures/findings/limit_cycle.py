@@ -12,6 +12,7 @@ from figures.paper.look import label
 
 READINGS = ("algorithm1, welded", "algorithm1, hard stop")
 SETTLED, CYCLE = "#eef1f4", "#6c8ebf"
+NAMES = {"algorithm1": "Algorithm 1", "effort": "one slope\n(effort law)"}
 LAWS = {"algorithm1": ("#0072B2", "-"), "effort": ("#D55E00", "--")}
 
 
@@ -57,7 +58,9 @@ def _stripe(ax: Axes, data: xr.Dataset) -> None:
     """Algorithm 1 as printed against one slope throughout, where its two rests cross |e| = x0."""
     K0 = data["stripe_K0"].values
     for law, (colour, dashes) in LAWS.items():
-        ax.plot(K0, data["stripe_tail"].sel(law=law), color=colour, ls=dashes, lw=0.9, label=law)
+        ax.plot(
+            K0, data["stripe_tail"].sel(law=law), color=colour, ls=dashes, lw=0.9, label=NAMES[law]
+        )
     ax.axvspan(*data["stripe_ends"].values, color="0.88", zorder=0, label="no rest, by formula")
     ax.set_yscale("log")
     ax.set(xlim=(K0[0], K0[-1]), xlabel=label("K0"), ylabel="nmse, last 10 of 20 s")

@@ -11,26 +11,39 @@ from figures.paper import look
 def plot(data: xr.Dataset) -> Figure:
     """|x| over time for each ratio of the stiffnesses, and the derived growth while linear."""
     with style.look():
-        fig = Figure(figsize=(style.COLUMN_WIDTH, 2.6))
+        fig = Figure(figsize=(style.COLUMN_WIDTH, 3.3))
         ax = fig.subplots()
         t, x0 = data["t"].values, data.attrs["x0"]
         for i, colour in enumerate(style.ordered(data.sizes["ratio"])):
             run = data.isel(ratio=i)
             factor, length = float(run["predicted"]), float(run["round"])
-            text = f"{float(run['ratio']):g}: factor {factor:.2f}"
+            text = f"ratio {float(run['ratio']):g}: peak × {factor:.2f} each round"
             ax.plot(t, _rounds(run["swing"].values, t, length), color=colour, lw=0.9, label=text)
             derived = float(run["swing"][0]) * factor ** (t / length)
-            linear = (derived <= x0) & (derived > 1e-5)
+            linear = derived <= x0
             ax.plot(t[linear], derived[linear], color=colour, lw=0.8, ls=":")
-        ax.plot([], [], color="0.3", lw=0.8, ls=":", label="derived")
+        ax.plot([], [], color="0.3", lw=0.8, ls=":", label="as derived, while the spring is linear")
         ax.axhline(x0, color=look.REFERENCE, lw=0.5)
         ax.text(t[-1], x0, style.SYMBOLS["x0"], ha="right", va="bottom")
         ax.set_yscale("log")
-        ax.set(xlim=(0, t[-1]), ylim=(1e-5, 0.3), xlabel="time (s)", ylabel="swing (rad)")
-        fig.legend(
-            loc="outside lower center", ncols=3, frameon=False, title="ratio of the stiffnesses"
+        ax.set(
+            xlim=(0, t[-1]),
+            ylim=(_decade_below(data), 0.3),
+            xlabel="time (s)",
+            ylabel="swing (rad)",
         )
+        title = "high to low stiffness, changed twice in each swing"
+        fig.legend(loc="outside lower center", frameon=False, title=title)
     return fig
+
+
+def _decade_below(data: xr.Dataset) -> float:
+    """A power of ten below every swing drawn."""
+    least = min(
+        float(_rounds(run.values, data["t"].values, float(length)).min())
+        for run, length in zip(data["swing"], data["round"], strict=True)
+    )
+    return float(10.0 ** np.floor(np.log10(least)))
 
 
 def _rounds(swing: np.ndarray, t: np.ndarray, length: float) -> np.ndarray:

@@ -7,7 +7,7 @@ import xarray as xr
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from figures import style
+from figures import colours, style
 from figures.findings.maps import CHANGE, cells, over
 from figures.paper.look import label
 
@@ -33,7 +33,8 @@ def plot(data: xr.Dataset) -> Figure:
                     Td = np.linspace(*ax.get_ylim())
                     over(ax, Td / X0, Td, label=r"$K_0 \tilde{x}_0 = T_d$")
                     ax.set_xlim(row[0].get_xlim())
-            extend = "both" if name == "change" else "neither"
+            drawn = np.concatenate([data[f"{name}_{side}"].values.ravel() for side in PLANES])
+            extend = colours.extend(drawn, kind["norm"])
             fig.colorbar(mesh, ax=list(row), extend=extend, pad=0.01, aspect=14).set_label(text)
         for ax in grid[1]:
             ax.set_xlabel(label("K0"))

@@ -70,7 +70,7 @@ def _inset(ax: Axes) -> Axes:
     near = ax.inset_axes((0.66, 0.02, 0.34, 0.22))
     near.set(**NEAR, yticks=[0, -0.1])
     near.set_xticks([0, 0.02], ["0", "0.02"])
-    near.tick_params(labelsize=style.SMALL_SIZE - 1, pad=1, labeltop=True, labelbottom=False)
+    near.tick_params(labelsize=style.SMALL_SIZE, pad=1, labeltop=True, labelbottom=False)
     near.tick_params(top=True, bottom=False, right=True, left=False)
     near.tick_params(axis="y", labelright=True, labelleft=False)
     near.spines[:].set_visible(True)

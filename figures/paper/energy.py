@@ -17,7 +17,7 @@ from figures import style
 from figures.paper import look
 
 LARGEST_PEAK = 0.3  # rad, as in the phase portrait
-NEAR = {"xlim": (0.09, 0.15), "ylim": (-0.055, 0.045)}  # rad, J: where the difference turns
+NEAR = {"xlim": (0.09, 0.15), "ylim": (-0.07, 0.045)}  # rad, J: where the difference turns
 NODES = 401  # of the integrals, on either side of x0
 Array = NDArray[np.float64]
 

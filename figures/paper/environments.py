@@ -14,6 +14,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import NullFormatter
 
 from figures import style
 from figures.paper import look
@@ -24,7 +25,8 @@ ESTIMATES = {  # rad, x_d -> what it is
     look.GAP + look.ESTIMATE_ERROR: "1 % error, beyond the environment",
     look.ESTIMATE_ERROR: "1 % error, as printed",
 }
-COLOURS = ("#0072B2", "#E69F00", "#CC79A7")  # Okabe and Ito, of the estimates
+# of the estimates, after Okabe and Ito; each has a contrast of 3 or more on white
+COLOURS = ("#0072B2", "#D55E00", "0.15")
 METRICS = {"nmse": "whole run", "nmse_tail": "last 5 s"}
 
 
@@ -40,50 +42,51 @@ def simulate(step: float) -> tuple[xr.Dataset, ...]:
 
 
 def plot(data: tuple[xr.Dataset, ...]) -> Figure:
-    """A panel for each study on one logarithmic scale; whole run filled, last 5 s a ring."""
+    """A column for each study, whole run above last 5 s, on logarithmic scales."""
     with style.look():
-        fig = Figure(figsize=(style.COLUMN_WIDTH, 2.9))
-        panels = fig.subplots(1, len(data), sharey=True, squeeze=False)[0]
-        for ax, study in zip(panels, data, strict=True):
-            _draw(ax, study)
-        panels[0].set(yscale="log", ylabel="normalised MSE")
+        fig = Figure(figsize=(style.COLUMN_WIDTH, 4.2))
+        grid = fig.subplots(len(METRICS), len(data), sharex="col", sharey="row", squeeze=False)
+        for row, (metric, text) in zip(grid, METRICS.items(), strict=True):
+            for ax, study in zip(row, data, strict=True):
+                _draw(ax, study[metric])
+            drawn = np.concatenate([study[metric].values.ravel() for study in data])
+            row[0].set(yscale="log", ylim=look.decades(drawn), ylabel=f"normalised MSE,\n{text}")
+            row[0].yaxis.set_minor_formatter(NullFormatter())
+        for ax, study in zip(grid[-1], data, strict=True):
+            ax.set_xlabel(look.label(_field(study["nmse"])))
         place: dict[str, Any] = {"loc": "outside upper center", "ncols": 1, "frameon": False}
         fig.legend(handles=_legend(data[0]), title=look.step(data[0].attrs["period"]), **place)
     return fig
 
 
-def _draw(ax: Axes, study: xr.Dataset) -> None:
-    field = next(str(name) for name in study.dims if name != "xd")
-    at = np.arange(study.sizes[field])
-    shifts = np.linspace(-0.22, 0.22, study.sizes["xd"])
+def _field(values: xr.DataArray) -> str:
+    return next(str(name) for name in values.dims if name != "xd")
+
+
+def _draw(ax: Axes, values: xr.DataArray) -> None:
+    field = _field(values)
+    at = np.arange(values.sizes[field])
+    shifts = np.linspace(-0.22, 0.22, values.sizes["xd"])
     for i, shift in enumerate(shifts):
-        for metric in METRICS:
-            y = study[metric].isel(xd=i).transpose(field).values
-            ax.plot(at + shift, y, ls="", **_marker(i, metric))
-    ax.set_xticks(at, [f"{value:g}" for value in study[field].values])
+        ax.plot(at + shift, values.isel(xd=i).transpose(field).values, ls="", **_marker(i))
+    ax.set_xticks(at, [f"{value:g}" for value in values[field].values])
     ax.tick_params(axis="x", length=0)
-    ax.set(xlabel=look.label(field), xlim=(-0.5, at[-1] + 0.5))
+    ax.set_xlim(-0.5, at[-1] + 0.5)
     for between in at[1:] - 0.5:
         ax.axvline(between, color="0.88", lw=0.5, zorder=0)
 
 
-def _marker(i: int, metric: str) -> dict[str, Any]:
-    size = {"ms": 3.2, "mew": 0.0} if metric == "nmse" else {"ms": 5.6, "mew": 0.8, "mfc": "none"}
-    return {"marker": look.MARKERS[i], "color": COLOURS[i]} | size
+def _marker(i: int) -> dict[str, Any]:
+    return {"marker": look.MARKERS[i], "color": COLOURS[i], "ms": 3.6, "mew": 0.0}
 
 
 def _legend(study: xr.Dataset) -> list[Line2D]:
-    estimates = [
-        Line2D([], [], ls="", label=f"{ESTIMATES[xd]}: {text}", **_marker(i, "nmse"))
-        for i, (xd, text) in enumerate(
-            zip(study["xd"].values, look.values("xd", study["xd"].values), strict=True)
-        )
+    named = zip(study["xd"].values, look.values("xd", study["xd"].values), strict=True)
+    marks = [
+        Line2D([], [], ls="", label=f"{ESTIMATES[xd]}: {text}", **_marker(i))
+        for i, (xd, text) in enumerate(named)
     ]
-    kinds = [
-        Line2D([], [], ls="", label=text, **_marker(0, name) | {"color": "0.3"})
-        for name, text in METRICS.items()
-    ]
-    return estimates + kinds
+    return [*marks, Line2D([], [], ls="", label="no mark: not trusted")]
 
 
 def figures() -> Iterator[tuple[str, Figure]]:

@@ -8,8 +8,9 @@ import pandas as pd
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-from figures import style
+from figures import signal, style
 from figures.paper import look
 from sweeps.paper.scenarios import LOCATED, motions, scenarios
 
@@ -19,6 +20,7 @@ STUDIES = {  # picture -> sweep, its rows (those that the captions name), the fi
     "history_stiffness": ("paper-stiffness", "Td == 5", "Kenv"),
     "history_damping": ("paper-damping", "Td == 5", "Denv"),
 }
+WIDTH = 400.0  # point, of the columns together
 SHOWN = (2.0, 98.0)  # percentiles of the torque errors that their row has to hold
 
 
@@ -44,36 +46,46 @@ def plot(data: xr.Dataset) -> Figure:
     field = next(str(name) for name in data["tau_env"].dims if name not in ("Td", "time"))
     columns = data["Td"].values
     with style.look():
-        width = style.PAGE_WIDTH if columns.size > 1 else style.COLUMN_WIDTH
-        fig = Figure(figsize=(width, 4.6))
+        wide = columns.size > 1
+        fig = Figure(figsize=(style.PAGE_WIDTH if wide else style.COLUMN_WIDTH, 4.9))
         grid = fig.subplots(3, columns.size, sharex=True, squeeze=False)
+        marks: set[str] = set()
         for column, Td in zip(grid.T, columns, strict=True):
-            _column(column, data.sel(Td=Td), field)
-            column[0].set_title(look.values("Td", [Td])[0])
             column[-1].set(xlabel=r"$t$ (s)", xlim=(0.0, round(float(data["time"].max()), 6)))
+            marks |= _column(column, data.sel(Td=Td), field, WIDTH / columns.size)
+            column[0].set_title(look.values("Td", [Td])[0])
         rows = ("torque $T$ (N·m)", r"torque error $\tilde{T}$ (N·m)", "position $x$ (rad)")
         for ax, text in zip(grid[:, 0], rows, strict=True):
             ax.set_ylabel(text)
         fig.align_ylabels()
-        handles = grid[0, 0].get_legend_handles_labels()
-        n = min(len(handles[0]), 3 if columns.size > 1 else 2)
-        place: dict[str, Any] = {"loc": "outside upper center", "ncols": n, "frameon": False}
-        fig.legend(*handles, title=look.step(data.attrs["period"]), **place)
+        handles, labels = grid[0, 0].get_legend_handles_labels()
+        if signal.LABEL in marks:
+            handles.append(Line2D([], [], color=look.REFERENCE, alpha=signal.BAND, lw=6))
+            labels.append(signal.LABEL)
+        if signal.CUT in marks:
+            handles.append(Line2D([], [], color=look.REFERENCE, ls="", marker="^", ms=4, mew=0))
+            labels.append(signal.CUT)
+        place: dict[str, Any] = {"loc": "outside upper center", "frameon": False}
+        place |= {"ncols": min(len(handles), 3 if wide else 2)}
+        fig.legend(handles, labels, title=look.step(data.attrs["period"]), **place)
     return fig
 
 
-def _column(axes: np.ndarray, runs: xr.Dataset, field: str) -> None:
+def _column(axes: np.ndarray, runs: xr.Dataset, field: str, width: float) -> set[str]:
+    """Draw one Td; returns the legend's texts of the marks used."""
     torque, error, position = axes
     Td = float(runs["Td"])
     Fmax, gap = look.PAPER.Fmax, runs.attrs["gap"]
-    values = runs[field].values
+    values, t = runs[field].values, runs["time"].values
+    errors, bands = [], False
     for value, text, colour, dashes in zip(
         values, look.values(field, values), style.ordered(values.size), style.DASHES, strict=False
     ):
-        run, kind = runs.sel({field: value}), {"color": colour, "ls": dashes, "lw": 0.7}
-        torque.plot(run["time"], run["tau_env"], label=text, **kind)
-        error.plot(run["time"], run["tau_env"] - Td, **kind)
-        position.plot(run["time"], run["x"], **kind)
+        run, kind = runs.sel({field: value}), {"color": colour, "ls": dashes, "lw": 0.8}
+        T = run["tau_env"].values
+        for ax, y, label in ((torque, T, text), (error, T - Td, None), (position, run["x"], None)):
+            bands |= signal.draw(ax, t, np.asarray(y), width, label=label, **kind)
+        errors.append((t, T - Td, colour))
     thin = {"color": look.REFERENCE, "lw": 0.5, "zorder": 0}
     torque.axhline(Td, label="set value, limit, environment", **thin)
     error.axhline(0.0, **thin)
@@ -82,6 +94,8 @@ def _column(axes: np.ndarray, runs: xr.Dataset, field: str) -> None:
         torque.axhline(Fmax, **thin)
         error.axhline(Fmax - Td, **thin)
     _zoom(error, runs["tau_env"].values - Td)
+    cut = signal.mark_cut(error, errors)
+    return ({signal.LABEL} if bands else set()) | ({signal.CUT} if cut else set())
 
 
 def _zoom(ax: Axes, error: np.ndarray) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 
+import numpy as np
 from matplotlib.axes import Axes
 
 from fic_jax import QUANTITIES, Params
@@ -46,6 +47,14 @@ def unit(field: str) -> str:
 def values(field: str, numbers: Iterable[float]) -> list[str]:
     """`symbol = value unit` for each of some values of a field."""
     return [f"{style.SYMBOLS[field]} = {style.number(n)} {unit(field)}" for n in numbers]
+
+
+def decades(values: np.ndarray) -> tuple[float, float]:
+    """Whole decades around all positive values, with room for the markers at their ends."""
+    drawn = np.log10(values[np.isfinite(values) & (values > 0)])
+    low, high = np.floor(drawn.min()), np.ceil(drawn.max())
+    room = 0.05 * (high - low)
+    return 10.0 ** (low - room), 10.0 ** (high + room)
 
 
 def step(period: float) -> str:

@@ -8,9 +8,10 @@ import jax
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from fic_jax import Params, force
-from figures import style
+from figures import signal, style
 from figures.paper import look
 
 STATED = 1e-3  # what the text leaves to Fmax before xb: 0.1 %
@@ -31,25 +32,30 @@ def plot(data: xr.Dataset, params: Params = look.PAPER) -> Figure:
     with style.look():
         fig = Figure(figsize=(style.COLUMN_WIDTH, 3.9))
         above, below = fig.subplots(2, 1)
+        curves = []
         for K0, colour, dashes in zip(
             data["K0"].values, style.ordered(data.sizes["K0"]), style.DASHES, strict=False
         ):
             F = data["force"].sel(K0=K0)
             line: dict[str, Any] = {"color": colour, "ls": dashes, "lw": 1.0}
             above.plot(data["e"], F, label=look.values("K0", [K0])[0], **line)
+            curves.append((data["e"].values, F.values, colour))
             lacking = abs(1.0 - F / params.Fmax)
             below.plot(data["e"], lacking.where(lacking > 0), **line)
         above.axhline(params.Fmax, color=look.REFERENCE, lw=0.5, zorder=0)
         above.set(xlim=(0.0, LARGEST), ylim=(0.0, 1.3 * params.Fmax), ylabel="torque $F_K$ (N·m)")
+        signal.mark_cut(above, curves)
         below.axhline(STATED, color=look.REFERENCE, lw=0.7, ls=(0, (4, 2)))
-        below.set(xlim=(0.099, 0.111), yscale="log", ylim=(1e-9, 10.0))
+        below.set(xlim=(0.099, 0.111), yscale="log", ylim=(1e-10, 10.0))
         below.set_ylabel(r"$|1 - F_K/F_{Max}|$")
         for ax in (above, below):
             ax.set_xlabel(r"error $|\tilde{x}|$ (rad)")
             look.mark_bounds(ax, params)
         below.text(0.107, STATED, "99.9 % of " + style.SYMBOLS["Fmax"], va="bottom", **NOTE)
         place: dict[str, Any] = {"loc": "outside upper center", "ncols": 2, "frameon": False}
-        fig.legend(*above.get_legend_handles_labels(), **place)
+        handles, labels = above.get_legend_handles_labels()
+        handles.append(Line2D([], [], color="0.3", ls="", marker="^", ms=4, mew=0))
+        fig.legend(handles, [*labels, signal.CUT], **place)
     return fig
 
 

@@ -46,7 +46,7 @@ def plot(data: xr.Dataset) -> Figure:
             for ax, contact in zip(row, columns, strict=True):
                 _draw(ax, data[metric].sel(contact=contact))
                 _stated(ax, STATED.get((contact, metric)))
-            row[0].set(yscale="log", ylim=_decades(data[metric].values))
+            row[0].set(yscale="log", ylim=look.decades(data[metric].values))
             row[0].set_ylabel(f"normalised MSE,\n{ROWS[metric]}")
         for ax, contact in zip(grid[0], columns, strict=True):
             ax.set_title(TITLES[contact])
@@ -58,7 +58,7 @@ def plot(data: xr.Dataset) -> Figure:
 
 
 def _draw(ax: Axes, plane: xr.DataArray) -> None:
-    """A group for each Td, in it a place for each K0; filled exact, ring the 1 % error."""
+    """A group for each Td, in it a place for each K0: a mark if exact, a dash the 1 % error."""
     stiffnesses, torques = plane["K0"].values, plane["Td"].values
     colours = style.ordered(stiffnesses.size)
     places = SPREAD * (np.arange(stiffnesses.size) / max(stiffnesses.size - 1, 1) - 0.5)
@@ -66,7 +66,8 @@ def _draw(ax: Axes, plane: xr.DataArray) -> None:
         x = np.arange(torques.size) + place
         for estimate in plane["xd"].values:
             y = plane.sel(K0=K0, xd=estimate).values
-            ax.plot(x, y, ls="", marker=marker, color=colour, **_kind(estimate))
+            kind = {"marker": marker, "color": colour} | _kind(estimate)
+            ax.plot(x, y, ls="", **kind)
     ax.set_xticks(range(torques.size), [f"{Td:g}" for Td in torques])
     ax.tick_params(axis="x", length=0)
     for between in np.arange(torques.size - 1) + 0.5:
@@ -75,19 +76,13 @@ def _draw(ax: Axes, plane: xr.DataArray) -> None:
 
 def _kind(estimate: float) -> dict[str, Any]:
     if estimate == 0.0:
-        return {"ms": 3.2, "mew": 0.0}
-    return {"ms": 5.6, "mew": 0.7, "mfc": "none"}
+        return {"ms": 3.6, "mew": 0.0}
+    return {"marker": "_", "ms": 7.0, "mew": 1.0, "zorder": 2.5}
 
 
 def _stated(ax: Axes, bound: float | None) -> None:
     if bound is not None:
         ax.axhline(bound, color=look.REFERENCE, lw=0.7, ls=(0, (4, 2)), zorder=0)
-
-
-def _decades(values: np.ndarray) -> tuple[float, float]:
-    """Whole decades around all positive values."""
-    drawn = np.log10(values[np.isfinite(values) & (values > 0)])
-    return 10.0 ** np.floor(drawn.min()), 10.0 ** np.ceil(drawn.max())
 
 
 def _legend(data: xr.Dataset) -> list[Line2D]:
@@ -100,9 +95,10 @@ def _legend(data: xr.Dataset) -> list[Line2D]:
     for estimate in data["xd"].values:
         kind = _kind(estimate)
         text = f"{texts[float(estimate)]},\n{look.values('xd', [estimate])[0]}"
-        lines.append(Line2D([], [], ls="", marker="o", color="0.3", label=text, **kind))
+        lines.append(Line2D([], [], ls="", label=text, **{"marker": "o", "color": "0.3"} | kind))
     dashes: dict[str, Any] = {"color": look.REFERENCE, "lw": 0.7, "ls": (0, (4, 2))}
-    return [*lines, Line2D([], [], label="stated in the text", **dashes)]
+    lines.append(Line2D([], [], label="stated in the text", **dashes))
+    return [*lines, Line2D([], [], ls="", label="no mark: not trusted")]
 
 
 def figures() -> Iterator[tuple[str, Figure]]:

@@ -163,7 +163,8 @@ def _say_where(
                 complain(f"warning: {path} has no {dim} = {value}; drawn is the nearest, {nearest}")
     rest = {dim: value for dim, value in cuts[0].items() if dim not in wanted}
     if rest:
-        print(f"cut at the middle of what --at does not name: --at {' '.join(_cut(rest))}")
+        middle = " ".join(_cut(rest))
+        print(f"cut in the middle of the dimensions that --at does not name: --at {middle}")
 
 
 def _same(asked: str, taken: str) -> bool:

@@ -1,6 +1,7 @@
 """The report as Markdown, and as one HTML file."""
 
 import base64
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 from markdown_it import MarkdownIt
+from markdown_it.token import Token
 
 from sweeps.paper.findings import name_of
 from sweeps.paper.judge import Judgement
@@ -209,7 +211,10 @@ def page_html(text: str, folder: Path) -> str:
 
     The pictures' addresses are relative to `folder`.
     """
-    body = MarkdownIt("commonmark", {"html": True, "xhtmlOut": False}).enable("table").render(text)
+    markdown = MarkdownIt("commonmark", {"html": True, "xhtmlOut": False}).enable("table")
+    tokens = markdown.parse(text)
+    _label_cells(tokens)
+    body = markdown.renderer.render(tokens, markdown.options, {})
     for verdict, badge in BADGES.items():
         for words in (verdict, verdict.capitalize()):
             marked = f'<strong class="verdict {badge}">{words}</strong>'
@@ -227,3 +232,19 @@ def page_html(text: str, folder: Path) -> str:
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{title}</title><style>\n{style}</style></head><body>\n{body}</body></html>\n"
     )
+
+
+def _label_cells(tokens: Sequence[Token]) -> None:
+    """Give each cell of a table the text of its head: on a narrow screen page.css shows it."""
+    heads: list[str] = []
+    column = 0
+    for token, content in itertools.pairwise(tokens):
+        if token.type == "thead_open":
+            heads = []
+        elif token.type == "th_open":
+            heads.append("".join(child.content for child in content.children or ()))
+        elif token.type == "tr_open":
+            column = 0
+        elif token.type == "td_open":
+            token.attrSet("data-head", heads[column])
+            column += 1

@@ -136,7 +136,7 @@ def test_a_value_that_was_not_run_is_warned_of(there):
 
 def test_a_cut_that_nobody_chose_is_named_and_its_words_work(there):
     done = typed(*MAP)
-    middle = re.fullmatch(r"wrote .*\ncut at the middle .*: (--at .*)\n", done.stdout)[1]
+    middle = re.fullmatch(r"wrote .*\ncut in the middle .*: (--at .*)\n", done.stdout)[1]
     again = typed(*MAP, *shlex.split(middle), "--force")
     assert (again.code, again.stdout) == (0, done.stdout.splitlines(keepends=True)[0])
 

@@ -26,7 +26,9 @@ def measure(searched: xr.Dataset) -> xr.Dataset:
     rule = _rule(cells)
     # without a rule the index is that of the paper's sigma; no result uses it
     position = _nearest(sigma, rule.fillna(PAPER))
-    data = xr.Dataset({"rule": rule}, attrs={"largest": float(sigma.max())})
+    data = xr.Dataset(
+        {"rule": rule}, attrs={"largest": float(sigma.max()), "smallest": float(sigma.min())}
+    )
     for metric in METRICS:
         values = cells[metric].where(cells["status"] == OK, np.inf).astype(float)
         values = values.clip(min=LEAST)
