@@ -19,7 +19,7 @@ from sweeps.spec.mistakes import SweepError
 from sweeps.spec.rules import out_of_bounds
 from sweeps.spec.types import Sweep
 from sweeps.store.commit import Values, Writer, no_values, now, read_block, values_of, writing
-from sweeps.store.create import create, refuse_existing, refuse_small_disk
+from sweeps.store.create import check_new, create
 from sweeps.store.format import DIVERGED, FAILED, OK
 from sweeps.store.ledger import DONE, SET_ASIDE, Row
 from sweeps.store.lock import Lock
@@ -81,8 +81,7 @@ def check_start(path: Path, plan: Sweep, chunk: int | None, precision: int) -> N
     """Raise SweepError if `start` would: for values, for a path in use, for a small disk."""
     for problem in out_of_bounds(plan, f"float{precision}"):
         raise SweepError(f"{plan.name} in {precision} bits: {problem}")
-    refuse_existing(path)
-    refuse_small_disk(path, Grid(plan, chunk), f"float{precision}")
+    check_new(path, Grid(plan, chunk), f"float{precision}")
 
 
 def start(path: Path, plan: Sweep, chunk: int | None, precision: int) -> Store:

@@ -16,7 +16,6 @@ No file here imports jax, numpy or another large package at its top, so that `--
 a command imports what it needs when it runs.
 """
 
-import os
 import sys
 from typing import Annotated
 

@@ -55,7 +55,8 @@ def _variables_of_jax(error: Exception) -> str | None:
     """What to say if JAX can't be imported with the variables that are set for it."""
     found = [f"{name}={value}" for name, value in os.environ.items() if name.startswith("JAX_")]
     for cause in (error, error.__context__):  # typer takes any ValueError for a wrong argument
-        frames = [frame for frame, _ in traceback.walk_tb(cause and cause.__traceback__)]
+        trace = cause.__traceback__ if cause else None
+        frames = [frame for frame, _ in traceback.walk_tb(trace)]
         modules = {f.f_globals["__name__"] for f in frames if f.f_code.co_name == "<module>"}
         if found and "jax" in modules:
             return f"{' '.join(found)}: JAX can't start: {cause}"

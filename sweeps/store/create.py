@@ -22,9 +22,7 @@ from sweeps.store.place import before_extension, place_of_new
 
 def create(path: Path, grid: Grid, made_by: Mapping[str, Any]) -> Store:
     """Make an empty store, with `made_by` among its attributes. Raises SweepError if it can't."""
-    path = place_of_new(path)
-    refuse_existing(path)
-    refuse_small_disk(path, grid, made_by["dtype"])
+    path = check_new(path, grid, made_by["dtype"])
     partial, parent = partial_of(path), _existing_parent(path)
     try:
         with building(partial):
@@ -44,6 +42,14 @@ def create(path: Path, grid: Grid, made_by: Mapping[str, Any]) -> Store:
         reason = getattr(error, "strerror", None) or error
         raise SweepError(f"{path}: can't be written: {reason}") from None
     return open_store(path)
+
+
+def check_new(path: Path, grid: Grid, dtype: str) -> Path:
+    """The place of a store that is to be made. Raises SweepError if it can't be made there."""
+    path = place_of_new(path)
+    refuse_existing(path)
+    refuse_small_disk(path, grid, dtype)
+    return path
 
 
 def refuse_existing(path: Path) -> None:

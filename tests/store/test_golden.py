@@ -159,10 +159,8 @@ def test_a_store_of_another_definition_is_run_again_not_continued(form, tmp_path
     assert (again.grid.sweep, again.dtype) == (parse(PLAN, "golden.toml"), "float32")
     assert again.definition == "motion"
     exported = typed("export", "my store.zarr", "--to", "csv").stdout
-    assert (
-        exported
-        == f"wrote my store.csv and my store.csv-metadata.json, 12 scenarios; its metrics are {DEFINITION[1]}\n"
-    )
+    files = "my store.csv and my store.csv-metadata.json"
+    assert exported == f"wrote {files}, 12 scenarios; its metrics are {DEFINITION[1]}\n"
     pictured = typed("plot", "my store.zarr", "--x", "Td", "--y", "Kenv").stdout
     name = "my store-nmse-Td-Kenv-case=1.png"
     assert pictured.startswith(f"wrote {name}; its metrics are {DEFINITION[1]}\n")

@@ -414,8 +414,8 @@ class Store(RuleBasedStateMachine):
         for word, flag in STATUS.items():
             assert f"\n  {word:8}{counts[flag]:>14,}\n" in done.stdout
         target = self.folder / "table.csv"
-        target.unlink(missing_ok=True)
-        assert self.command("export", self.path, "--to", "csv", "--out", target).code == 0
+        export = ("export", self.path, "--to", "csv", "--out", target, "--force")
+        assert self.command(*export).code == 0
         table = pd.read_csv(target)
         assert [STATUS[word] for word in table["status"]] == flags
         np.testing.assert_allclose(table["nmse"], nmse, rtol=1e-6)
