@@ -15,6 +15,7 @@ from sweeps.store.opening import Counts, Store
 from sweeps.store.verify import Report
 
 MAX_PROBLEMS = 20  # damaged files that `verify` names
+MAX_FOREIGN = 5  # files of others that it names
 METRICS_IN_A_LINE = 4  # of `status`
 MAX_NAMED = 5  # failed blocks, or diverged scenarios, that `status` names
 
@@ -148,7 +149,12 @@ def verification(path: Path, report: Report) -> Iterator[str]:
     if report.blocks is None:
         yield "  the blocks can be verified once this is repaired"
     elif report.blocks < report.planned:
-        yield f"  {counted(report.planned - report.blocks, 'block')} still to run"
+        still = counted(report.planned - report.blocks, "block")
+        yield f"  {still} still to run: {command('resume', path)}"
+    if report.foreign:
+        names = ", ".join(printable(name) for name in report.foreign[:MAX_FOREIGN])
+        more = ", ..." if len(report.foreign) > MAX_FOREIGN else ""
+        yield f"  not part of the store, and harmless: {names}{more}"
 
 
 def interrupted(store: Store, error: BaseException) -> str:
