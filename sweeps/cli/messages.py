@@ -150,7 +150,8 @@ def verification(path: Path, report: Report) -> Iterator[str]:
         yield "  the blocks can be verified once this is repaired"
     elif report.blocks < report.planned:
         still = counted(report.planned - report.blocks, "block")
-        yield f"  {still} still to run: {command('resume', path)}"
+        resume = "" if report.problems else f": {command('resume', path)} does"
+        yield f"  {still} still to run{resume}"
     if report.foreign:
         names = ", ".join(printable(name) for name in report.foreign[:MAX_FOREIGN])
         more = ", ..." if len(report.foreign) > MAX_FOREIGN else ""
