@@ -73,7 +73,7 @@ def extension_cut_short(store):
 
 
 def untouched(_):
-    pass
+    """A whole store, in the way of another, or beside a file that is no store."""
 
 
 EXPORT = ("export", STORE, "--to", "csv")
@@ -107,11 +107,6 @@ def test_the_command_of_a_message_helps(store, damage, command):
     commands = advice(ended)
     assert len(commands) == 1, ended
     assert pasted(commands[0]) == 0
-    if command[0] != "run":  # the same command now does its work, or needs another step
-        again = typed(*command)
-        assert (
-            again.code == 0 or (advice(again) and advice(again) != commands) or damage is untouched
-        )
     for name in ("status", "verify", "resume"):
         assert typed(name, STORE).code == 0
     assert "12 of 12 cells" in typed("status", STORE).stdout
@@ -119,7 +114,9 @@ def test_the_command_of_a_message_helps(store, damage, command):
 
 def test_an_interrupted_run_says_how_to_continue(folder, monkeypatch):
     class AtOnce(interruption.Stop):
-        requested = True
+        def after_block(self, progress):
+            self.requested = True
+            super().after_block(progress)
 
     monkeypatch.setattr(interruption, "Stop", AtOnce)
     ended = typed("run", "tiny.toml", "--chunk", "1", "--out", STORE)
@@ -134,8 +131,6 @@ def test_an_interrupted_run_says_how_to_continue(folder, monkeypatch):
 def test_failed_blocks_say_how_to_try_again(folder, monkeypatch):
     monkeypatch.setattr(runner, "_compute", lambda *_: 1 / 0)
     ended = typed("run", "tiny.toml", "--out", "-my store.zarr")
-    assert ended.code == 2, "an option, for a shell"
-    ended = typed("run", "tiny.toml", "--out=-my store.zarr")
     assert ended.code == 1
     (resume,) = advice(ended)
     assert pasted(resume) == 0
@@ -161,7 +156,7 @@ def test_no_message_writes_a_command_by_hand():
             if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
         }
         for node in ast.walk(tree):
-            if isinstance(node, ast.Constant) and id(node) not in documentation:
-                if "`fic-sweep " in str(node.value):
-                    by_hand.add(path.relative_to(ROOT).as_posix())
+            text = isinstance(node, ast.Constant) and id(node) not in documentation
+            if text and "`fic-sweep " in str(node.value):
+                by_hand.add(path.relative_to(ROOT).as_posix())
     assert not by_hand
