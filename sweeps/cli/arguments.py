@@ -1,6 +1,7 @@
 """Arguments that several commands share."""
 
 from pathlib import Path
+from types import ModuleType
 from typing import Annotated, Any
 
 import typer
@@ -26,23 +27,26 @@ class Command(TyperCommand):
 
 def folder(typed: str) -> Path:
     """A folder to write into. Raises SweepError as `place` does."""
-    from sweeps.store.place import place
-
-    return place(typed)
+    return _places().place(typed)
 
 
 def store(typed: str) -> Path:
     """The place of a store. Raises SweepError as `place_of_store` does."""
-    from sweeps.store.place import place_of_store
-
-    return place_of_store(typed)
+    return _places().place_of_store(typed)
 
 
 def new(typed: str) -> Path:
     """The place of a new file or store. Raises SweepError as `place_of_new` does."""
-    from sweeps.store.place import place_of_new
+    return _places().place_of_new(typed)
 
-    return place_of_new(typed)
+
+def _places() -> ModuleType:
+    """The module `place`, which imports JAX. Its ValueError would look like one of the argument."""
+    try:
+        from sweeps.store import place
+    except ValueError as error:
+        raise ImportError(str(error)) from error
+    return place
 
 
 SweepName = Annotated[str, typer.Argument(metavar="NAME|FILE", help="library name or TOML file")]

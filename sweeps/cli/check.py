@@ -32,6 +32,7 @@ def verify(
     ] = False,
 ) -> None:
     """Compare every file of a store with its ledger."""
+    from sweeps.spec.mistakes import command
     from sweeps.store.verify import repair_metadata
 
     with system_errors_reported(path):
@@ -42,6 +43,8 @@ def verify(
         if repair and report.bad_blocks:
             _recompute(path, report.bad_blocks)
             report = _check(path)
+    if not repair and (report.metadata or report.bad_blocks):
+        print(f"{path}: {command('verify', path, '--repair')} repairs it")
     raise typer.Exit(1 if report.problems else 0)
 
 

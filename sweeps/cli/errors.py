@@ -40,10 +40,10 @@ def dispatch(app: typer.Typer) -> int:
 
 def _wrong_request(error: Exception) -> str | None:
     """What to say if the request was wrong; None if the program was."""
-    if message := _variables_of_jax(error):
-        return message
     if hasattr(error, "format_message"):  # typer refused an option
         return " ".join(str(error.format_message()).split())
+    if message := _variables_of_jax(error):
+        return message
     from sweeps.spec.mistakes import SweepError
 
     if isinstance(error, OSError) and error.filename:  # a name too long, a folder of another user
@@ -54,9 +54,8 @@ def _wrong_request(error: Exception) -> str | None:
 def _variables_of_jax(error: Exception) -> str | None:
     """What to say if JAX can't be imported with the variables that are set for it."""
     found = [f"{name}={value}" for name, value in os.environ.items() if name.startswith("JAX_")]
-    for cause in (error, error.__context__):  # typer takes any ValueError for a wrong argument
-        trace = cause.__traceback__ if cause else None
-        frames = [frame for frame, _ in traceback.walk_tb(trace)]
+    for cause in filter(None, (error, error.__cause__)):
+        frames = [frame for frame, _ in traceback.walk_tb(cause.__traceback__)]
         modules = {f.f_globals["__name__"] for f in frames if f.f_code.co_name == "<module>"}
         if found and "jax" in modules:
             return f"{' '.join(found)}: JAX can't start: {cause}"

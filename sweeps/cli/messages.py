@@ -21,6 +21,7 @@ from sweeps.store.verify import Report
 MAX_PROBLEMS = 20  # damaged files that `verify` names
 NO_BREAK = "\xa0"  # a space at which no line ends
 WIDTH, HEAD = 98, 10  # columns of a line, and of the word that it begins with
+MAX_FOREIGN = 5  # files of others that it names
 MAX_NAMED = 5  # failed blocks, or diverged scenarios, that `status` names
 
 
@@ -184,7 +185,13 @@ def verification(path: Path, report: Report) -> Iterator[str]:
     if report.blocks is None:
         yield "  the blocks can be verified once this is repaired"
     elif report.blocks < report.planned:
-        yield f"  {counted(report.planned - report.blocks, 'block')} still to run"
+        still = counted(report.planned - report.blocks, "block")
+        resume = "" if report.problems else f": {command('resume', path)} does"
+        yield f"  {still} still to run{resume}"
+    if report.foreign:
+        names = ", ".join(printable(name) for name in report.foreign[:MAX_FOREIGN])
+        more = ", ..." if len(report.foreign) > MAX_FOREIGN else ""
+        yield f"  not part of the store, and harmless: {names}{more}"
 
 
 def interrupted(store: Store, error: BaseException) -> str:

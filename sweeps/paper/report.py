@@ -29,7 +29,7 @@ from sweeps.paper.pages import (
 from sweeps.paper.scenarios import LOCATED
 from sweeps.provenance import provenance
 from sweeps.runner import Progress
-from sweeps.spec.mistakes import SweepError
+from sweeps.spec.mistakes import SweepError, command
 from sweeps.spec.reading import load
 from sweeps.store.opening import Store, dataset, open_store
 
@@ -122,8 +122,9 @@ def _reopened(path: Path, library: Path, name: str) -> Store:
     store = open_store(path)
     if store.grid.sweep.record() != load(library / f"{name}.toml").record():
         raise SweepError(
-            f"{path}: holds another sweep than `{name}` of the library; remove it and `fic-sweep "
-            "report` runs the sweep again, or name another folder with --results"
+            f"{path}: holds another sweep than `{name}` of the library; remove it and "
+            f"{command('report', '--results', path.parent)} runs the sweep again, or name another "
+            "folder with --results"
         )
     return runner.reopen(path, int(store.dtype.removeprefix("float")))
 

@@ -2,6 +2,7 @@
 
 Read the files in this order; each uses only those above it.
 
+    place.py     resolve the path of a store
     fsync.py     put whole files on the disk
     lock.py      let one process at a time change a store
     ledger.py    ledger.sqlite: one row for each finished block, with the checksums of its files

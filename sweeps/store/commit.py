@@ -145,7 +145,8 @@ def writing(store: Store) -> Iterator[tuple[Writer, Lock]]:
         folders = (p for p in store.path.iterdir() if p.is_dir() and not p.is_symlink())
         for folder in (store.path, *folders):
             for partial in folder.glob(f"*{fsync.PARTIAL}"):
-                partial.unlink()
+                if partial.is_symlink() or not partial.is_dir():  # a folder is not ours
+                    partial.unlink()
         fsync.sync(store.path)
         try:
             yield writer, lock

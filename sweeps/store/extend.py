@@ -8,6 +8,7 @@ plan to places in the store, and `_gather` copies the cells of each block.
 import os
 import shutil
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,6 +30,7 @@ from sweeps.store.format import DIVERGED, OK, attributes
 from sweeps.store.ledger import DONE, PARTLY, Row, intact
 from sweeps.store.opening import Store, open_store
 from sweeps.store.place import before_extension, place_of_store
+from sweeps.store.verify import foreign_files
 
 LONGEST_LIST = 100_000  # values of an axis that becomes a list: a store's record must stay small
 
@@ -61,9 +63,13 @@ def extend(store: Store, plan: Sweep, source: str) -> Store:
         for values, row in _blocks_with_known_cells(store, grid):
             writer.commit(values, row)
         fsync.sync_tree(partial)
+        foreign = foreign_files(store)
         path.rename(before_extension(path))
         partial.rename(path)
         fsync.sync(path.parent)
+    for name in foreign:  # notes of the user, which go along
+        with suppress(OSError):  # a folder went with all that is in it
+            os.rename(before_extension(path) / name, path / name)
     shutil.rmtree(before_extension(path), ignore_errors=True)
     return open_store(path)
 

@@ -16,7 +16,7 @@ from sweeps.store.commit import write_checksum
 from sweeps.store.create import write_empty
 from sweeps.store.ledger import CHECKSUM, LEDGER, Ledger, LedgerError, MetadataFile, Row, intact
 from sweeps.store.lock import LOCK, locked
-from sweeps.store.opening import Store, as_written, open_store, plain
+from sweeps.store.opening import Store, as_written, open_store
 from sweeps.store.place import place_of_store
 
 OWN = {LEDGER, f"{LEDGER}-journal", CHECKSUM, LOCK}
@@ -29,7 +29,7 @@ class Problem:
     what: str  # the file, as a path in the store
     how: str
     block: int | None = None  # the block to run again, if that repairs it
-    foreign: bool = False  # not part of a store; a repair leaves it
+    repairable: bool = True
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,12 @@ class Report:
     files: int
     problems: tuple[Problem, ...]
     planned: int = 0  # blocks of the whole sweep
+    foreign: tuple[str, ...] = ()  # what is not part of the store: harmless, and left by a repair
 
     @property
     def metadata(self) -> list[Problem]:
         """Problems with the ledger, the metadata and the coordinates."""
-        return [p for p in self.problems if p.block is None and not p.foreign]
+        return [p for p in self.problems if p.block is None and p.repairable]
 
     @property
     def bad_blocks(self) -> list[int]:
@@ -75,9 +76,10 @@ def verify(path: Path) -> Report:
         missing = set(range(store.grid.n_blocks)) - {row.block for row in rows}
         problems += [Problem(LEDGER, f"has no row of block {b}", b) for b in sorted(missing)]
     if not damaged:
-        problems += _foreign(store, files)
+        problems += _no_files(store, files, {problem.what for problem in problems})
     n_files = len(files) + sum(len(row.files) for row in rows)
-    return Report(len(rows), n_files, tuple(problems), store.grid.n_blocks)
+    foreign = () if damaged else tuple(foreign_files(store))
+    return Report(len(rows), n_files, tuple(problems), store.grid.n_blocks, foreign)
 
 
 def repair_metadata(path: Path) -> None:
@@ -159,17 +161,30 @@ def _block_problems(store: Store, row: Row) -> Iterator[Problem]:
             yield Problem(file.relative_to(store.path).as_posix(), _how(file), row.block)
 
 
-def _foreign(store: Store, files: list[MetadataFile]) -> Iterator[Problem]:
-    """What is not part of the store. The files of a block without a row are: a run wrote them."""
+def foreign_files(store: Store) -> list[str]:
+    """What is not part of a store, as paths in it: files of a desktop or a file server, notes."""
+    files = list(store.ledger.metadata()) if store.ledger else []
+    return [name for name, ours in _entries(store, files) if not ours]
+
+
+def _no_files(store: Store, files: list[MetadataFile], known: set[str]) -> Iterator[Problem]:
+    """Links, folders and FIFOs in the place of files; `known` problems are left out."""
+    known |= set(_folders(files))
+    for name, ours in _entries(store, files):
+        entry = store.path / name
+        if ours and name not in known and (entry.is_symlink() or not entry.is_file()):
+            yield Problem(name, "is no file; remove it", repairable=False)
+
+
+def _entries(store: Store, files: list[MetadataFile]) -> Iterator[tuple[str, bool]]:
+    """Each path in a store, and whether it is a part. The files of a block without a row are."""
     known = {file.path for file in files} | OWN | set(_folders(files))
     blocks = {store.file("status", index).name for index in range(store.grid.n_blocks)}
     for file in sorted(store.path.glob("**/*")):
         name = file.relative_to(store.path).as_posix()
         whole = name.removesuffix(fsync.PARTIAL)
         folder, _, block = whole.partition("/")
-        ours = whole in known or (folder in store.variables and block in blocks)
-        if not ours or not plain(file):
-            yield Problem(name, "is not part of the store", foreign=True)
+        yield name, whole in known or (folder in store.variables and block in blocks)
 
 
 def _folders(files: list[MetadataFile]) -> list[str]:

@@ -81,7 +81,8 @@ def test_variables_of_other_programs_end_no_command(folder, variables):
 )
 def test_a_variable_that_keeps_jax_from_starting_is_named(folder, name, value, words):
     environment = os.environ | {name: value}
-    ended = call("run", "tiny.toml", code=2, folder=folder, environment=environment)
+    arguments = ("run", "tiny.toml", "--out", "a.zarr")
+    ended = call(*arguments, code=2, folder=folder, environment=environment)
     assert re.match(rf"fic-sweep: (JAX_\S+ )*{name}={value}", ended.stderr)
     assert words in ended.stderr
     assert len(ended.stderr.splitlines()) == 1

@@ -349,11 +349,9 @@ TOUCHED = {  # read, refused or repaired
     "partial link": replaced("nmse/c.1.1.partial", link),
     "partial FIFO": replaced("nmse/c.1.1.partial", fifo),
     "partial folder": replaced("nmse/c.1.1.partial", folder),
-    "other link": replaced("more", link),
     "coordinate link": replaced("Td/c.0", link),
     "coordinate FIFO": replaced("Td/c.0", fifo),
     "metadata link": replaced("Td/zarr.json", link),
-    "long name": replaced("x" * 250, text(b"")),
     "terminal codes": attributes(revision="\x1b[2J" + "x" * 10**6, device=["a"], start={"a": 1}),
     "no start": attributes(revision=None, start=None, device=None),
 }
@@ -362,6 +360,8 @@ HARMLESS = {  # `verify` finds nothing, and every command does its work
     "lock text": replaced("owner.lock", text(b'{"block": "x", "pid": [')),
     "lock number": replaced("owner.lock", text(b"1e999")),
     "row escaping": row(outcome="set aside", error="\x1b[2J\n" + "x" * 10_000),
+    "other link": replaced("more", link),
+    "long name": replaced("x" * 250, text(b"")),
     "file under way": replaced("nmse/c.1.1.partial", text(b"half")),
 }
 

@@ -8,8 +8,8 @@ import pytest
 from sweeps.store import verify
 from sweeps.store.ledger import CHECKSUM
 from sweeps.store.lock import LOCK
-from sweeps.store.opening import open_store
-from tests.store.stores import change_attributes, contents, repaired
+from sweeps.store.opening import Counts, dataset, open_store
+from tests.store.stores import change_attributes, contents, enlarge, repaired, run
 from tests.torture import many
 
 
@@ -88,15 +88,30 @@ def test_a_repair_writes_nothing_through_a_link(stores, quick):
         assert contents(path) == stores.expected[5]
 
 
-@pytest.mark.parametrize("name", ["mine.txt", "nmse/c.3", "nmse/c.0.bak", "more/mine.txt"])
-def test_a_foreign_file_is_found_and_left(stores, quick, name):
-    with stores.case("whole") as path:
+@pytest.mark.parametrize(
+    "name",
+    [
+        "mine.txt", "nmse/c.3", "nmse/c.0.bak", "more/mine.txt",
+        ".DS_Store", "status/.DS_Store", "status/._c.0", "status/Thumbs.db", "status/.nfs0001",
+        "status/@eaDir/c.0", "K0/desktop.ini", "nmse/c.0.partial~",
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("source", ["begun", "whole", "small"])
+def test_a_foreign_file_is_named_and_left(stores, quick, source, name):
+    """A file beside the blocks of `status` was taken for a block that is half written."""
+    with stores.case(source) as path:
         (path / name).parent.mkdir(exist_ok=True)
         (path / name).write_text("precious")
-        (problem,) = [p for p in verify.verify(path).problems if p.what == name]
-        assert problem.foreign
-        repaired(path)
+        report = verify.verify(path)
+        assert (report.problems, report.foreign[-1]) == ((), name)
+        dataset(path)
+        verify.repair_metadata(path)
+        if source == "small":
+            enlarge(path)
+        run(open_store(path))
         assert (path / name).read_text() == "precious"
+        assert not verify.verify(path).problems
+        assert not Counts.of(open_store(path)).pending
 
 
 def test_a_finished_store_that_lost_a_row_runs_its_block_again(stores, quick):
