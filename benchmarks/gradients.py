@@ -1,6 +1,6 @@
 """How far the gradients of the metrics are of use, metric by metric.
 
-    python -m benchmarks.gradients [--scenarios N] [--by FIELD] [--set contact=welded ...]
+    python -m benchmarks.gradients [--scenarios N] [--steps N] [--by FIELD] [--set contact=welded ...]
 
 The random scenarios of `benchmarks.trust` (10 s at 10 ms), differentiated by one field (K0) in
 float64 with both integrators. All numbers are relative: the change of a metric, over its scale (of
@@ -20,7 +20,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from benchmarks.trust import DT, FINER, N_STEPS, T_END, scenarios
+from benchmarks.trust import DT, FINER, N_STEPS, scenarios
 from fic_jax import CHOICES, QUANTITIES, TRUST, Metrics, Model, Params, evaluate, sweep
 
 TINY, FINITE = 1e-7, 1e-3  # relative changes of the field
@@ -35,12 +35,12 @@ def changed(p: Params, by: str, part: float) -> Params:
     return dataclasses.replace(p, **{by: getattr(p, by) * (1.0 + part)})
 
 
-def derivatives(p: Params, by: str, model: Model) -> Metrics:
+def derivatives(p: Params, by: str, **options: Any) -> Metrics:
     """The derivative of each metric for a relative change of a field, one for each scenario."""
 
     def one(p: Params) -> Any:
         def run(part: Any) -> Metrics:
-            return evaluate(changed(p, by, part), model=model, dt=DT, n_steps=N_STEPS)
+            return evaluate(changed(p, by, part), **options)
 
         start = np.zeros((), p.K0.dtype)
         return jax.jvp(run, (start,), (np.ones_like(start),))[1]
@@ -59,19 +59,19 @@ def difference(p: Params, by: str, part: float, **run: Any) -> Metrics:
         return jax.tree.map(lambda a, b: (b - 1.0 * a) / (2.0 * part), low, high)
 
 
-def rows(n: int, by: str, model: Model) -> list[str]:
+def rows(n: int, n_steps: int, by: str, model: Model) -> list[str]:
     """The rows of one integrator."""
     p = scenarios(n)
-    run: Any = {"model": model, "dt": DT, "n_steps": N_STEPS}
-    metrics, exact = sweep(p, **run), derivatives(p, by, model)
-    single = derivatives(jax.tree.map(np.float32, p), by, model)
+    run: Any = {"model": model, "dt": DT, "n_steps": n_steps}
+    metrics, exact = sweep(p, **run), derivatives(p, by, **run)
+    single = derivatives(jax.tree.map(np.float32, p), by, **run)
     own = difference(p, by, TINY, **run)
-    fine: Any = {"model": model.with_events(), "dt": DT / FINER, "n_steps": FINER * N_STEPS}
+    fine: Any = {"model": model.with_events(), "dt": DT / FINER, "n_steps": FINER * n_steps}
     motion = difference(p, by, FINITE, **fine)
 
     def row(name: str) -> str:
         value = getattr(metrics, name)
-        scale = {"value": np.abs(value), "T_n": 1.0, "t_end": T_END}[TRUST[name].scale]
+        scale = {"value": np.abs(value), "T_n": 1.0, "t_end": n_steps * DT}[TRUST[name].scale]
         with np.errstate(invalid="ignore", divide="ignore"):
             d, tiny, finite = (getattr(m, name) / scale for m in (exact, own, motion))
             counts = np.isfinite(value) & np.isfinite(tiny) & np.isfinite(finite) & (scale != 0)
@@ -91,6 +91,7 @@ def main() -> None:
     """Measure and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--scenarios", type=int, default=400)
+    parser.add_argument("--steps", type=int, default=N_STEPS)
     parser.add_argument("--by", choices=tuple(QUANTITIES), default="K0", metavar="FIELD")
     parser.add_argument("--set", action="append", default=[], metavar="CHOICE=OPTION")
     arguments = parser.parse_args()
@@ -101,7 +102,7 @@ def main() -> None:
     lines = [COLUMNS, "|---|" + 7 * "---:|"]
     for integrator in ("rk4", "rk4_events"):
         model = Model(**{"integrator": integrator} | chosen)  # type: ignore[arg-type]
-        lines += rows(arguments.scenarios, arguments.by, model)
+        lines += rows(arguments.scenarios, arguments.steps, arguments.by, model)
     sys.stdout.write("\n".join(lines) + "\n")
 
 

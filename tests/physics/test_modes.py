@@ -51,7 +51,7 @@ def functions(model):
     return {
         "evaluate": nmse,
         "errors": errors,
-        "rollout": lambda K0: rollout(Params(K0=K0), model=model, **RUN).x[-1],
+        "rollout": lambda K0: rollout(Params(K0=K0), model=model, **RUN).x.sum(),
         "step": steps,
         "control": controlled,
         "gradient": jax.grad(nmse),
