@@ -11,6 +11,7 @@ child.py            the protocol: call functions in a fresh process, one JSON li
 tables.py           the formatter: text, Markdown and JSON from the same rows
 machine.py          processor, versions, load
 work_precision.py   `python -m benchmarks.work_precision`: error against cost of several solvers
+trust.py, gradients.py   errors and trust, derivatives: `python -m benchmarks.trust`, `.gradients`
 solvers.py          those solvers; scenarios.py: what they solve
 
 Each table starts its children, one for each implementation, and calls them in turn, so that only

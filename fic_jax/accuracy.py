@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from fic_jax.events import FLAT
-from fic_jax.inputs import Scalar, transferred
+from fic_jax.inputs import Scalar, expect, real, transferred
 from fic_jax.metrics import Metrics, Run, deviation, reachable, run_by_steps
 from fic_jax.params import Model, Params
 from fic_jax.piece import rounding
@@ -145,7 +145,12 @@ def trusted(metrics: Metrics, errors: Metrics, t_end: Scalar) -> Metrics:
     Takes the two Metrics of `evaluate_with_error` or `sweep` (scalars or [N]), and the duration of
     the run in seconds. False where a run was not finite. An infinite time is trusted if it is
     infinite in both runs. The leaf `finite` says whether both runs were.
+
+    Raises ParamsError if an argument is of another type.
     """
+    for name, given in {"metrics": metrics, "errors": errors}.items():
+        expect(name, given, Metrics, "those of sweep(..., error_estimate=True)")
+    t_end = real("t_end", t_end)
 
     def within(name: str) -> Scalar:
         error = jnp.asarray(getattr(errors, name))

@@ -81,16 +81,15 @@ def _as_floats(objects: np.ndarray) -> np.ndarray | None:
 def _is_real(dtype: Any) -> bool:
     kind = getattr(dtype, "kind", "")
     if kind != "V":
-        return kind in "fiu"
+        return kind in ("f", "i", "u")
     return jnp.issubdtype(dtype, np.floating) or jnp.issubdtype(dtype, np.integer)  # as bfloat16
 
 
 def shown(value: Any) -> str:
-    """A wrong value in a message: cut, in one line."""
-    if isinstance(value, jax.core.Tracer):
-        return f"traced, of type {value.dtype}"
-    text = " ".join(repr(value).split())
-    return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}... ({type(value).__name__})"
+    """A wrong value in a message: as Python writes it, or its type if that is long."""
+    text = repr(value)
+    short = len(text) <= MAX_SHOWN and text.isprintable()
+    return text if short else f"of type {type(value).__name__}"
 
 
 def float_type(leaves: Iterable[Scalar]) -> np.dtype:
@@ -150,11 +149,11 @@ def transferred(compiled: Callable[..., Any], *args: Any, **static: Any) -> Any:
         return compiled(*args, **static)
 
 
-def expect(key: str, value: Any, record: type, example: str = "") -> None:
-    """Raise ParamsError unless `value` is a record of this type."""
+def expect(key: str, value: Any, record: type, example: str) -> None:
+    """Raise ParamsError with an example unless `value` is a record of this type."""
     if not isinstance(value, record):
         name = record.__name__
-        raise ParamsError(key, shown(value), f"a {name}, such as {example or f'{name}(...)'}")
+        raise ParamsError(key, shown(value), f"of type {name}, such as {example}")
 
 
 def count(name: str, value: Any) -> int:

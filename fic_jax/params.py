@@ -167,6 +167,15 @@ def steps_per_period(period: Scalar, dt: Scalar) -> jax.Array:
     return jnp.maximum(jnp.floor(period / dt + 0.5), 1.0).astype(jnp.int32)
 
 
+def check_model(model: Any) -> None:
+    """Raise ParamsError unless it is a Model; of an option's name, the message makes one."""
+    names = [
+        name for name, options in CHOICES.items() if isinstance(model, str) and model in options
+    ]
+    example = f'Model({names[0]}="{model}")' if names else 'Model(contact="welded")'
+    expect("model", model, Model, example)
+
+
 def check_field(name: str, values: Any, dt: float | None = None) -> None:
     """Raise ParamsError unless every value of one field is finite and within its bound.
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from fic_jax.inputs import Scalar, real, strong, transferred
 from fic_jax.lanes.hints import where_rare
-from fic_jax.params import Params, canonical
+from fic_jax.params import Params, of_one_type
 
 
 def force(e: Scalar, p: Params) -> jax.Array:
@@ -14,7 +14,7 @@ def force(e: Scalar, p: Params) -> jax.Array:
     `e` is a scalar, or an array that broadcasts with the leaves of `p`. Checks no values, but that
     they are real numbers (ParamsError).
     """
-    p = canonical(p)
+    p = of_one_type("p", p)
     return transferred(_compiled_force, strong(real("e", e), p.K0.dtype), p)
 
 
@@ -24,7 +24,7 @@ def energy(e: Scalar, p: Params) -> jax.Array:
     `e` is a scalar, or an array that broadcasts with the leaves of `p`. Checks no values, but that
     they are real numbers (ParamsError).
     """
-    p = canonical(p)
+    p = of_one_type("p", p)
     return transferred(_compiled_energy, strong(real("e", e), p.K0.dtype), p)
 
 

@@ -23,7 +23,16 @@ from fic_jax.events import PIECES, Interval, advance_to_switch
 from fic_jax.exploration import expected_reference, explore
 from fic_jax.inputs import ParamsError, Scalar, count, expect, real, shown, strong, transferred
 from fic_jax.lanes.hints import where_rare
-from fic_jax.params import Model, Params, canonical, check, check_scalars, check_step, of_one_type
+from fic_jax.params import (
+    Model,
+    Params,
+    canonical,
+    check,
+    check_model,
+    check_scalars,
+    check_step,
+    of_one_type,
+)
 from fic_jax.rk4 import Motion, advance
 
 
@@ -86,7 +95,7 @@ def init(params: Params, model: Model = Model()) -> State:
     or 0 N*m, as the motor has not acted (`motor`). Checks no values, but that they are real
     numbers (ParamsError).
     """
-    expect("model", model, Model)
+    check_model(model)
     return transferred(compiled_init, canonical(params), model=model)
 
 
@@ -250,7 +259,7 @@ compiled_step = jax.jit(sampled_step, static_argnames="model")
 
 def canonical_with(params: Params, dt: Scalar, model: Model) -> tuple[Params, Scalar]:
     """Parameters and plant step in one strong dtype, before jit sees them. Raises ParamsError."""
-    expect("model", model, Model)
+    check_model(model)
     p = of_one_type("params", params)
     return p, strong(real("dt", dt), p.K0.dtype)
 

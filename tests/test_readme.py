@@ -54,3 +54,12 @@ def test_every_command_is_one_that_exists():
     for line in COMMANDS:
         name, *arguments = shlex.split(line)
         commands[name].make_context(name, arguments)
+
+
+def test_the_example_of_the_gradients_page_agrees_with_its_difference():
+    page = (Path(__file__).parent.parent / "docs" / "gradients.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    scope = {}
+    exec(example.replace("print(", "pair = ("), scope)
+    gradient, difference = scope["pair"]
+    assert gradient == pytest.approx(difference, rel=0.01)

@@ -17,7 +17,7 @@ from fic_jax.inputs import ParamsError, count, expect, on_host, shown
 from fic_jax.lanes import Untranslatable, lane_map
 from fic_jax.lanes.sources import digest
 from fic_jax.metrics import Metrics, Run, blank, run_by_intervals, run_by_steps
-from fic_jax.params import QUANTITIES, Model, Params, check, check_step, of_one_type
+from fic_jax.params import QUANTITIES, Model, Params, check, check_model, check_step, of_one_type
 
 Backend = Literal["auto", "lanes", "xla", "pallas"]
 # Steps of rk4 in one iteration of XLA's time loop: two are 1.2 times faster than one, more only
@@ -105,7 +105,7 @@ def checked_fields(
 
     `instead` is the function that a message names to a caller who traces. Raises ParamsError.
     """
-    expect("model", model, Model)
+    check_model(model)
     expect("batch", batch, Params, "Params(K0=[1.0, 10.0])")
     for name, value in {**vars(batch), "dt": dt}.items():
         if isinstance(value, jax.core.Tracer):
