@@ -17,6 +17,7 @@ from figures import PlotError, panels, plot, save, select, style
 from sweeps.plan.grid import Grid
 from sweeps.spec.reading import parse
 from sweeps.store import format as store_format
+from tests import legible
 
 PLAN = parse('name = "small"\n[axes]\nK0 = [1.0, 2.0]', "small.toml")
 
@@ -312,6 +313,12 @@ def test_nothing_in_the_figure_is_cut_off(paper):
     drawn, sheet = figure.get_tightbbox(), figure.bbox_inches
     assert drawn.x0 >= 0 and drawn.x1 <= sheet.x1
     assert drawn.y0 >= 0 and drawn.y1 <= sheet.y1
+
+
+def test_every_heatmap_can_be_read_in_a_column_and_in_grey(paper):
+    paper.attrs["sweep"] = json.dumps(RECORD)
+    legible.check(plot(paper, x="Td", y="K0"))
+    legible.check(plot(paper, x="contact", y="Td"))
 
 
 def test_a_legend_fits_the_width_of_the_figure(judged):

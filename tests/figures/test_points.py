@@ -9,6 +9,7 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 
 from figures import PlotError, plot, style
+from tests import legible
 
 K0 = np.geomspace(1.0, 1000.0, 7)
 BOUND = {"bound": "max(1 % of nmse, 1e-12)"}
@@ -94,6 +95,11 @@ def test_no_value_lies_outside_the_axes():
     data.nmse[0] = 0.0  # a log scale has no place for it
     low, high = plot(data).axes[0].get_ylim()
     assert low <= 0.0 and high >= 10.0
+
+
+@pytest.mark.parametrize("request_", [{}, {"x": "K0"}, {"x": "K0", "y": "Kenv"}])
+def test_every_picture_can_be_read_in_a_column_and_in_grey(request_):
+    legible.check(plot(design() if request_ else along(), **request_))
 
 
 def test_a_plane_gives_a_line_at_a_cut():

@@ -9,7 +9,7 @@ from matplotlib.collections import FillBetweenPolyCollection
 
 import figures.paper
 from fic_jax import Model, Params, energy, evaluate, rollout
-from figures import style
+from figures import signal, style
 from figures.paper import (
     attractor,
     environments,
@@ -21,6 +21,7 @@ from figures.paper import (
 )
 from figures.paper import energy as energies
 from sweeps.paper import scenarios
+from tests import legible
 
 MARKS = {"nmse": 1e-3, "nmse_tail": 1e-6}
 
@@ -90,7 +91,7 @@ LABELS = {
     "energy": (r"peak error $|\tilde{x}_{Max}|$ (rad)", "energy (J)"),
     "superposition": (r"$\tilde{x}$ (rad)", "controller torque $h_e$ (N·m)"),
     "welded_contact": ("$T_d$ (N·m)", "normalised MSE,\nwhole run"),
-    "environments": ("$K_{env}$ (N·m/rad)", "normalised MSE"),
+    "environments": ("$K_{env}$ (N·m/rad)", "normalised MSE,\nlast 5 s"),
     "histories": ("$t$ (s)", "torque $T$ (N·m)"),
     "approach": ("$t$ (s)", "torque $T$ (N·m)"),
 }
@@ -100,7 +101,7 @@ N_PANELS = {
     "energy": 2,
     "superposition": 2,
     "welded_contact": 4,
-    "environments": 2,
+    "environments": 4,
     "histories": 9,
     "approach": 3,
 }
@@ -281,16 +282,42 @@ def test_bounds_stand_where_the_text_states_them(drawn):
     assert stated == [[0.1], [], [1e-4], [0.1]]
 
 
-def test_environments_mark_estimates_and_halves(drawn):
-    left, right = drawn["environments"].axes
-    assert left.get_yscale() == "log" and left.get_ylim() == right.get_ylim()
-    assert right.get_xlabel() == "$D_{env}$ (N·m·s/rad)"
-    marks = [line for line in left.lines if line.get_ls() == "None"]
-    np.testing.assert_array_equal(marks[0].get_ydata(), STUDIES[0]["nmse"][0])
-    np.testing.assert_array_equal(marks[5].get_ydata(), STUDIES[0]["nmse_tail"][2])
-    assert len({line.get_color() for line in marks}) == 3
+def test_environments_have_a_row_for_each_half_and_one_marker_for_each_estimate(drawn):
+    """An open marker was the last 5 s here and the 1 % error in the figure beside it."""
+    above, below = np.reshape(drawn["environments"].axes, (2, 2))
+    for left, right in (above, below):
+        assert left.get_yscale() == "log" and left.get_ylim() == right.get_ylim()
+    assert below[1].get_xlabel() == "$D_{env}$ (N·m·s/rad)"
+    for axes, metric in ((above[0], "nmse"), (below[0], "nmse_tail")):
+        marks = [line for line in axes.lines if line.get_ls() == "None"]
+        drawn_marks = [line.get_ydata() for line in marks]
+        np.testing.assert_array_equal(drawn_marks, STUDIES[0][metric])
+        assert len({line.get_color() for line in marks}) == 3
+        assert len({line.get_marker() for line in marks}) == 3
     texts = [t.get_text() for t in drawn["environments"].legends[0].get_texts()]
     assert texts[1].endswith("$x_d$ = 0.501 rad") and texts[2].endswith("$x_d$ = 0.001 rad")
+
+
+@pytest.mark.parametrize("name", ["welded_contact", "environments"])
+def test_no_marker_is_open_where_that_could_mean_not_trusted(drawn, name):
+    for axes in drawn[name].axes:
+        for line in axes.lines:
+            assert line.get_marker() in ("_", "None") or line.get_mfc() == line.get_color()
+    assert drawn[name].legends[0].get_texts()[-1].get_text() == "no mark: not trusted"
+
+
+@pytest.mark.parametrize("name", LABELS)
+def test_every_picture_can_be_read_in_a_column_and_in_grey(drawn, name):
+    """The lightest lines had a contrast of 1.7 on white; the inset's letters were 5.5 pt."""
+    legible.check(drawn[name])
+
+
+def test_a_profile_beyond_its_axis_is_marked(drawn):
+    """K0 = 1000 reaches 100 N*m at x0, five times the height of the axis."""
+    whole = drawn["profile"].axes[0]
+    (mark,) = [line for line in whole.lines if line.get_marker() == "^"]
+    assert mark.get_xydata().tolist() == [[pytest.approx(0.1), whole.get_ylim()[1]]]
+    assert "to 100" in [text.get_text() for text in whole.texts]
 
 
 def test_histories_draw_torque_error_and_position(drawn):
@@ -323,3 +350,21 @@ def test_a_spike_leaves_the_error_row_and_stays_in_the_torque_row():
     assert torque.get_ylim()[1] > 50.0 and error.get_ylim()[1] < 5.0
     assert error.get_ylim()[0] < -4.0  # where the error of the first 2 % lies
     assert levels(position) == [0.5]
+    # and a mark says so where it leaves
+    (mark,) = [line for line in error.lines if line.get_marker() == "^"]
+    assert mark.get_xydata().tolist() == [[pytest.approx(1.01), error.get_ylim()[1]]]
+    assert "to 45" in [text.get_text() for text in error.texts]
+
+
+def test_a_fast_oscillation_is_a_band():
+    """Welded, K0 = 0.1, Td = 1 was a block of ink that hid all other lines."""
+    data = motions("K0", [0.1, 10.0], [1.0], 0.0)
+    data["tau_env"][0, 0] = 1.0 + 2.0 * np.sin(2 * np.pi * 10 * data["time"])
+    figure = histories.plot(data)
+    torque, error, position = figure.axes
+    for axes, centre in ((torque, 1.0), (error, 0.0)):
+        (band,) = [c for c in axes.collections if isinstance(c, FillBetweenPolyCollection)]
+        box = band.get_paths()[0].get_extents()
+        assert [box.y0, box.y1] == pytest.approx([centre - 2.0, centre + 2.0], abs=0.1)
+    assert not position.collections
+    assert signal.LABEL in [text.get_text() for text in figure.legends[0].get_texts()]

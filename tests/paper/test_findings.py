@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
+from matplotlib.collections import QuadMesh
 
 from fic_jax import CHOICES as fic_choices  # noqa: N811  the axes of Model
 from fic_jax import Model, Params, sweep
@@ -17,7 +18,7 @@ from fic_jax.environment import interaction_torque
 from fic_jax.exploration import explore
 from fic_jax.params import canonical
 from fic_jax.rk4 import Motion, advance
-from figures import findings
+from figures import findings, style
 from figures.findings import PLOTS
 from figures.findings.variable_step import SHOWN
 from sweeps.paper import formulas, loop, simulink
@@ -36,6 +37,7 @@ from sweeps.paper.judge import judge
 from sweeps.paper.pages import finding_section
 from sweeps.paper.words import read
 from sweeps.store.format import OK
+from tests import legible
 
 WELDED = Model(law="effort", contact="welded")
 SOFT = Params(K0=60.0, Denv=20.0, period=0.02)  # e stays in the linear zone; lightly damped
@@ -405,7 +407,79 @@ def test_maps_show_what_was_measured(stepped, cycles):
 
 
 def test_the_default_is_marked_and_the_best_row_is_on_top(judged):
-    names = [text.get_text() for text in PLOTS["readings"](judged).axes[0].get_yticklabels()]
+    figure = PLOTS["readings"](judged)
+    names = [text.get_text().replace("\n", " ") for text in figure.axes[0].get_yticklabels()]
+    assert len(names) <= 13 and figure.get_figwidth() == style.COLUMN_WIDTH
     best = readings.ranking(judged)["reading"].iloc[0]
-    assert names[0].removesuffix(" (default)") == best
+    assert names[0].removesuffix(" (default)").endswith(best.split("; ", 1)[1].replace("e-0", "e-"))
     assert sum(name.endswith("(default)") for name in names) == 1
+
+
+def test_signs_of_the_readings_are_those_of_the_table(judged):
+    figure = PLOTS["readings"](judged)
+    shown = [text.get_text() for text in figure.axes[0].texts]
+    own = judged.sel(reading=readings.name(readings.DEFAULT), claim=["C1", "C6"])
+    expected = ["" if v == 0 else readings.SIGNS[int(v)] for v in own["verdict"].values]
+    rows = np.reshape(shown, (len(figure.axes[0].get_yticklabels()), -1))
+    names = [text.get_text() for text in figure.axes[0].get_yticklabels()]
+    default = next(i for i, name in enumerate(names) if name.endswith("(default)"))
+    assert [rows[default][0], rows[default][5]] == expected
+
+
+@pytest.mark.parametrize("name", PLOTS)
+def test_every_picture_can_be_read_in_a_column_and_in_grey(data, name):
+    legible.check(PLOTS[name](data[name]))
+
+
+def bars(figure) -> dict[str, str]:
+    """Label of each colour bar -> its arrows."""
+    meshes = [c for ax in figure.axes for c in ax.collections if isinstance(c, QuadMesh)]
+    return {c.colorbar.ax.get_ylabel(): c.colorbar.extend for c in meshes if c.colorbar}
+
+
+def test_no_colour_hides_that_a_value_lies_beyond_the_bar(data):
+    """`search_resolution` had no arrow under a quarter of a map; `saturation` always had two."""
+    searched = data["search_resolution"]
+    figure = PLOTS["search_resolution"](searched)
+    best = figure.axes[0].collections[0]
+    assert (
+        best.norm.vmin <= searched["best_nmse"].min()
+        and bars(figure)[r"best $\sigma$"] == "neither"
+    )
+    tails = data["variable_step"]["nmse_tail"].values
+    arrows = {(False, False): "neither", (True, False): "min", (False, True): "max"}
+    expected = arrows.get(((tails < 1e-8).any(), (tails > 1).any()), "both")
+    assert bars(PLOTS["variable_step"](data["variable_step"]))["nmse of the last 5 s"] == expected
+    small = data["saturation"].map(lambda values: values.clip(-1, 1))
+    assert set(bars(PLOTS["saturation"](small)).values()) == {"neither"}
+
+
+def test_a_best_value_on_the_sweeps_edge_is_hatched(data):
+    searched = data["search_resolution"].copy(deep=True)
+    searched["best_nmse"][:] = 0.02
+    searched["best_nmse"].loc[{"K0": 100.0, "Kenv": 50.0, "Denv": 10.0}] = searched.largest
+    figure = PLOTS["search_resolution"](searched)
+    dots = [p for p in figure.axes[0].patches if p.get_hatch() == "...."]
+    box = dots[0].get_path().get_extents()
+    assert (box.x0 < 50.0 < box.x1 < 100.0) and (box.y0 < 10.0 < box.y1 < 100.0)
+    labels_ = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert "best is the largest of the sweep, 1" in labels_
+    assert not any("smallest" in text for text in labels_)
+
+
+def test_runs_have_units_and_a_cut_spike_a_mark(data):
+    """Titles said `approach, Kenv = 50`, and an impact of 59 N*m ended at 9."""
+    axes = PLOTS["variable_step"](data["variable_step"]).axes
+    by_title = {ax.get_title(): ax for ax in axes}
+    assert "pressed\n$K_0$ = 100 N·m/rad" in by_title
+    impact = by_title["approach\n$K_{env}$ = 50 N·m/rad"]
+    assert [line.get_marker() for line in impact.lines].count("^") == 3  # three runs
+    assert any(text.get_text().startswith("to ") for text in impact.texts)
+
+
+def test_the_legend_of_online_gains_is_in_words(gained):
+    texts = [t.get_text() for t in PLOTS["online_gains"](gained).legends[0].get_texts()]
+    assert texts[0] == "ratio 2: peak × 0.71 each round"
+    axes = PLOTS["online_gains"](gained).axes[0]
+    drawn = [line.get_ydata() for line in axes.lines if len(line.get_xdata()) > 2]
+    assert axes.get_ylim()[0] <= min(np.min(y) for y in drawn if len(y))

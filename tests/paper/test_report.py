@@ -60,6 +60,15 @@ class Checker(HTMLParser):
         self.text += data
 
 
+def test_a_phone_shows_every_column_of_a_table(page, tmp_path):
+    """At 390 pixels a column lay beyond the screen: there, each cell is a line after its head."""
+    shown = page_html(page, tmp_path)
+    assert shown.count('<td data-head="where">') == 2 * len(LINES)
+    assert shown.count('<td data-head="n">') == 2 * len(LINES)
+    narrow = shown.partition("@media screen and (max-width: 40rem)")[2].partition("@media print")[0]
+    assert "tr, td { display: block; }" in narrow and "content: attr(data-head)" in narrow
+
+
 def test_the_html_stands_alone_and_shows_queries_as_they_are(page, tmp_path):
     checker = Checker()
     shown = page_html(page, tmp_path)
