@@ -1,6 +1,6 @@
 """How far the gradients of the metrics are of use, metric by metric.
 
-    python -m benchmarks.gradients [--scenarios N] [--steps N] [--by FIELD] [--set contact=welded ...]
+    python -m benchmarks.gradients [--scenarios N] [--steps N] [--by FIELD] [--set KEY=VALUE ...]
 
 The random scenarios of `benchmarks.trust` (10 s at 10 ms), differentiated by one field (K0) in
 float64 with both integrators. All numbers are relative: the change of a metric, over its scale (of

@@ -35,17 +35,18 @@ def verify(
     from sweeps.spec.mistakes import command
     from sweeps.store.verify import repair_metadata
 
+    different: list[int] = []
     with system_errors_reported(path):
         report = _check(path)
         if repair and report.metadata:
             repair_metadata(path)
             report = _check(path)
         if repair and report.bad_blocks:
-            _recompute(path, report.bad_blocks)
+            different = _recompute(path, report.bad_blocks)
             report = _check(path)
     if not repair and (report.metadata or report.bad_blocks):
         print(f"{path}: {command('verify', path, '--repair')} repairs it")
-    raise typer.Exit(1 if report.problems else 0)
+    raise typer.Exit(1 if report.problems or different else 0)
 
 
 def _check(path: Path) -> "Report":
@@ -57,7 +58,8 @@ def _check(path: Path) -> "Report":
     return report
 
 
-def _recompute(path: Path, blocks: list[int]) -> None:
+def _recompute(path: Path, blocks: list[int]) -> list[int]:
+    """Run blocks again; returns those that came out different, and names them."""
     from sweeps.cli.messages import counted, interrupted
     from sweeps.runner import recompute
 
@@ -68,4 +70,5 @@ def _recompute(path: Path, blocks: list[int]) -> None:
     except KeyboardInterrupt as error:
         fail(interrupted(store, error))
     for block in different:
-        complain(f"{path}: block {block} came out different")
+        complain(f"{path}: block {block} came out different; the store has its new numbers")
+    return different
