@@ -116,7 +116,7 @@ def require_metric(metric: str, data: xr.Dataset) -> None:
     if metric in (*ERRORS, *judgements) and not any(name in data for name in judgements):
         raise PlotError(
             f"There is no '{metric}': the store has no error estimates; "
-            "`fic-sweep run --error-estimate` makes them."
+            "run its sweep with --error-estimate."
         )
     if metric in judgements:
         judged = judgements[metric]

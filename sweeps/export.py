@@ -127,11 +127,12 @@ def _parquet(data: xr.Dataset, path: Path) -> None:
     import pyarrow.parquet as pq
 
     writer: Any = None
-    for frame in tables(data):
-        table = pa.Table.from_pandas(frame, preserve_index=False)
-        writer = writer or pq.ParquetWriter(path, table.schema)
-        writer.write_table(table)
-    writer.close()
+    with path.open("wb") as file:  # pyarrow can't open a name that the locale has no letters for
+        for frame in tables(data):
+            table = pa.Table.from_pandas(frame, preserve_index=False)
+            writer = writer or pq.ParquetWriter(file, table.schema)
+            writer.write_table(table)
+        writer.close()
 
 
 def _netcdf(data: xr.Dataset, path: Path) -> None:

@@ -69,7 +69,8 @@ def revision() -> str:
         described = subprocess.run(
             [*git, "describe", "--always", "--abbrev=12", "--dirty=+", "--exclude=*"],
             capture_output=True,
-            text=True,
+            encoding="utf-8",  # whatever the locale
+            errors="replace",
             check=True,
             timeout=10,
         )

@@ -55,7 +55,7 @@ WRONG_WITH_STORE = [
     (
         [*PLOT, "--metric", "nmse_error"],
         "tiny.zarr: There is no 'nmse_error': the store has no error estimates; "
-        "`fic-sweep run --error-estimate` makes them.\n",
+        "run its sweep with --error-estimate.\n",
     ),
 ]
 
