@@ -16,6 +16,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from figures import caption, colours, hatch, style, ticks
@@ -35,6 +36,9 @@ from figures.planes import Axis, axis
 
 FEW_MARKERS = 60  # values of a line up to which each has a marker
 MARGIN = 0.04  # of the axis, beyond the outermost dots
+# Dark rims: the light end of the colours is hardly seen on white.
+EDGE: dict[str, Any] = {"linewidths": 0.25, "edgecolors": "0.3"}
+RIM = [withStroke(linewidth=1.2, foreground="0.3")]
 LINE, DOUBT = "#0072B2", "0.45"  # trusted, and not trusted
 HEIGHT = 2.5  # inch, without title and legend
 ROOM, PANEL_HEIGHT = 205, 125  # point, lengths of the axes
@@ -194,10 +198,11 @@ def _colours(
         "rasterized": True,
     }
     sure = known & ~doubt
-    drawn = ax.scatter(x[sure], y[sure], c=points.values[sure], s=7, linewidths=0, **kind)
+    drawn = ax.scatter(x[sure], y[sure], c=points.values[sure], s=7, **EDGE, **kind)
     if doubt.any():
         colour = kind["cmap"](kind["norm"](points.values[doubt]))
-        ax.scatter(x[doubt], y[doubt], s=7, linewidths=0.7, facecolors="none", edgecolors=colour)
+        look: dict[str, Any] = {"facecolors": "none", "path_effects": RIM, "rasterized": True}
+        ax.scatter(x[doubt], y[doubt], s=7, linewidths=0.7, edgecolors=colour, **look)
         ring: dict[str, Any] = {"marker": "o", "mfc": "none", "mec": DOUBT, "mew": 0.7, "ms": 2.7}
         entries[hatch.doubt_text([points])] = Line2D([], [], ls="", **ring)
     for key, at in points.special.items():

@@ -8,9 +8,10 @@ from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.patches import PathPatch
 from numpy.typing import NDArray
 
-from figures import style
+from figures import hatch, style
 from figures.paper.look import label
 
 # Below and above an even 0: blue and orange stay apart for colour-blind readers; here 0 is white,
@@ -18,6 +19,9 @@ from figures.paper.look import label
 CHANGE = LinearSegmentedColormap.from_list(
     "change", ["#0a2463", "#3f6fb5", "#b9cde5", "#ffffff", "#f6d3a5", "#d9822b", "#7a3b00"]
 )
+
+GROWN = 0.1  # of a map of changes; a cell that is larger has dots
+DOTS: dict[str, Any] = {"hatch": "....", "hatchcolor": "0.3", "linewidth": 0}
 
 
 def rows(fig: Figure, heights: tuple[float, ...]) -> list[SubFigure]:
@@ -48,6 +52,15 @@ def cells(
     ax.set_ylim(sides[1][0], sides[1][-1])
     ax.set_ylabel(label(y))
     return mesh
+
+
+def grown(ax: Axes, data: xr.DataArray, x: str, y: str, log: tuple[bool, bool]) -> None:
+    """Dots over the cells of a map of changes that are larger than GROWN."""
+    sides = [
+        edges(data[name].values.astype(float), of) for name, of in zip((x, y), log, strict=True)
+    ]
+    path = hatch.outline(data.transpose(y, x).values > GROWN, *sides)
+    ax.add_artist(PathPatch(path, facecolor="none", **DOTS))
 
 
 def over(ax: Axes, x: NDArray[Any], y: NDArray[Any], color: str = "white", **kind: Any) -> None:

@@ -14,15 +14,23 @@ def plot(data: xr.Dataset) -> Figure:
         fig = Figure(figsize=(style.COLUMN_WIDTH, 3.3))
         ax = fig.subplots()
         t, x0 = data["t"].values, data.attrs["x0"]
-        for i, colour in enumerate(style.ordered(data.sizes["ratio"])):
+        shades = style.ordered(data.sizes["ratio"])
+        for i, (colour, dashes) in enumerate(zip(shades, style.DASHES, strict=False)):
             run = data.isel(ratio=i)
             factor, length = float(run["predicted"]), float(run["round"])
             text = f"ratio {float(run['ratio']):g}: peak × {factor:.2f} each round"
-            ax.plot(t, _rounds(run["swing"].values, t, length), color=colour, lw=0.9, label=text)
+            ax.plot(
+                t,
+                _rounds(run["swing"].values, t, length),
+                color=colour,
+                ls=dashes,
+                lw=1.0,
+                label=text,
+            )
             derived = float(run["swing"][0]) * factor ** (t / length)
             linear = derived <= x0
-            ax.plot(t[linear], derived[linear], color=colour, lw=0.8, ls=":")
-        ax.plot([], [], color="0.3", lw=0.8, ls=":", label="as derived, while the spring is linear")
+            ax.plot(t[linear], derived[linear], color=colour, lw=0.4)
+        ax.plot([], [], color="0.3", lw=0.4, label="thin: as derived, while the spring is linear")
         ax.axhline(x0, color=look.REFERENCE, lw=0.5)
         ax.text(t[-1], x0, style.SYMBOLS["x0"], ha="right", va="bottom")
         ax.set_yscale("log")

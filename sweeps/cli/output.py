@@ -49,6 +49,7 @@ def plot(
     values = _values(at, more)
     wanted = _single(values)
     _refuse_existing(out, force)
+    check_matplotlib()
     from figures import choose, draw
     from sweeps.store.opening import dataset
 
@@ -72,6 +73,7 @@ def history(
     """Draw the motion of named cells, run anew. Several values of a KEY: a line for each."""
     values = _values(at, more)
     _refuse_existing(out, force)
+    check_matplotlib()
     from figures.history import History, select, simulate
     from figures.history import plot as draw
     from sweeps import runner
@@ -109,6 +111,15 @@ def export(
         rows = write(data, target, to.value)
     names = " and ".join(map(str, files(target, to.value)))
     print(f"wrote {names}, {rows:,} scenarios{_old_definition(data)}")
+
+
+def check_matplotlib() -> None:
+    """Refuse settings of matplotlib that keep it from being imported; all others are ignored."""
+    try:
+        import matplotlib  # noqa: F401
+    except ValueError as error:
+        where = "a matplotlibrc in this folder, in $MATPLOTLIBRC or in its own folder"
+        refuse(f"matplotlib can't read its settings, {where}: {error}")
 
 
 def _refuse_existing(target: Path | None, force: bool) -> None:

@@ -8,6 +8,7 @@ import typer
 from sweeps.cli import interruption
 from sweeps.cli.arguments import folder
 from sweeps.cli.errors import fail
+from sweeps.cli.output import check_matplotlib
 
 if TYPE_CHECKING:
     from sweeps.runner import Progress
@@ -28,6 +29,7 @@ def report(
 ) -> None:
     """Compare the paper's claims with simulations. Writes report.md and .html, in some minutes."""
     stop = interruption.stop_on_signals()
+    check_matplotlib()
     from figures.report import draw
     from sweeps import runner
     from sweeps.paper import report as paper_report

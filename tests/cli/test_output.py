@@ -272,3 +272,12 @@ def test_pictures_are_the_same_bytes_whatever_the_users_settings(there):
             assert (there / f"{i}-{name}.{suffix}").read_bytes() == (
                 there / f"{i}-plain.{suffix}"
             ).read_bytes(), name
+
+
+def test_settings_that_matplotlib_cannot_read_are_named(there):
+    (there / "matplotlibrc").write_bytes(b"font.family: caf\xe9\n")
+    done = call(*MAP, code=2, folder=there)
+    assert done.stderr.splitlines()[-1].startswith(
+        "fic-sweep: matplotlib can't read its settings, a matplotlibrc in this folder"
+    )
+    assert written(there) == ["matplotlibrc"]

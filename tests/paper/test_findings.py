@@ -454,6 +454,21 @@ def test_no_colour_hides_that_a_value_lies_beyond_the_bar(data):
     assert set(bars(PLOTS["saturation"](small)).values()) == {"neither"}
 
 
+def test_a_grey_print_shows_where_a_change_grows(data):
+    """Both ends of its colours are dark."""
+    changed = data["saturation"].map(np.zeros_like)
+    changed["change_Kenv"].loc[{"Kenv": 400.0, "K0": 3.0}] = 1.0
+    figure = PLOTS["saturation"](changed)
+    hatched = [p for ax in figure.axes for p in ax.patches if p.get_hatch() and len(p.get_path())]
+    (box,) = [patch.get_path().get_extents() for patch in hatched]
+    assert box.x0 < 3.0 < box.x1 and box.y0 < 400.0 < box.y1
+    assert "dots: grows by more than 0.1 decades" in labels_of(figure)
+
+
+def labels_of(figure) -> list[str]:
+    return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+
+
 def test_a_best_value_on_the_sweeps_edge_is_hatched(data):
     searched = data["search_resolution"].copy(deep=True)
     searched["best_nmse"][:] = 0.02
