@@ -1,6 +1,6 @@
 """How far the gradients of the metrics are of use, metric by metric.
 
-    python -m benchmarks.gradients [--scenarios N] [--steps N] [--by FIELD] [--set KEY=VALUE ...]
+    python -m benchmarks.gradients [--scenarios N] [--by FIELD] [--set contact=welded ...]
 
 The random scenarios of `benchmarks.trust` (10 s at 10 ms), differentiated by one field (K0) in
 float64 with both integrators. All numbers are relative: the change of a metric, over its scale (of
@@ -79,6 +79,8 @@ def rows(n: int, n_steps: int, by: str, model: Model) -> list[str]:
             agrees = np.abs(d - tiny) <= np.maximum(0.01 * np.abs(tiny), SMALL)
             off = ~(np.abs(d - finite) <= np.maximum(0.1 * np.abs(finite), SMALL))
             wrong = (d * finite < 0) & (np.maximum(np.abs(d), np.abs(finite)) > SMALL)
+        if not counts.any():
+            return f"| {model.integrator}, {name} |" + 7 * " |"
         shares = [f"{100 * part.mean():.1f} %" for part in (agrees, off, wrong)]
         sizes = [f"{q:.1g}" for q in np.quantile(np.abs(d), [0.5, 0.99, 1.0], method="lower")]
         lost = np.sum(~np.isfinite(getattr(single, name)[counts]))

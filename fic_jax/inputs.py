@@ -65,8 +65,8 @@ def real(name: str, value: Any, unit: str = "1") -> Scalar:
 
 def _has_more_than_numbers(value: Any) -> bool:
     """Whether NumPy would drop a mask or a unit: of ndarray's subclasses, pint's, xarray's."""
-    if isinstance(value, np.ndarray) and type(value) not in (np.ndarray, np.memmap):
-        return True
+    if isinstance(value, np.ndarray):
+        return type(value) not in (np.ndarray, np.memmap)
     holders = type(value), type(getattr(value, "data", None))
     return any(hasattr(kind, word) for kind in holders for word in ("unit", "units"))
 

@@ -167,9 +167,3 @@ def test_an_interruption_leaves_no_file(tmp_path, table, signum):
 def test_nested_spans_count_once():
     assert covered([(0.0, 4.0), (1.0, 2.0), (3.0, 5.0), (7.0, 8.0)]) == 6.0
     assert covered([]) == 0.0
-
-
-def test_python_m_benchmarks_gradients_prints_a_row_for_each_metric():
-    lines = module("benchmarks.gradients", "--scenarios", "2", "--steps", "20").splitlines()
-    assert lines[0].count("|") == lines[-1].count("|")
-    assert len(lines) == 2 + 2 * 9
