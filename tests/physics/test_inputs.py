@@ -163,7 +163,7 @@ NO_NUMBERS = {
     "masked array": np.ma.masked_array([1.0, 2.0], [False, True]),
     "masked": np.ma.masked,
     "masked in a list": [np.ma.masked, 1.0],
-    "no date": np.datetime64("NaT"),
+    "no date": np.datetime64("NaT", "s"),
     "duration": np.timedelta64(1, "s"),
     "date": pd.Timestamp("2020-01-01"),
     "missing": pd.NA,
