@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from fic_jax import QUANTITIES, Model, Params
+from fic_jax import QUANTITIES
 from figures import style
 from sweeps.spec.digits import LEAST, digits
 from sweeps.store.format import (
@@ -129,15 +129,13 @@ def require_metric(metric: str, data: xr.Dataset) -> None:
 def require_dimension(name: str, data: xr.Dataset, metric: str) -> None:
     """Raise PlotError unless a metric has a dimension of that name."""
     dims = [str(dim) for dim in data[metric].dims]
-    record = json.loads(data.attrs.get("sweep", "{}"))
-    constant = (vars(Model()) | record.get("model", {})).get(name) if record else None
-    if record and name in QUANTITIES and name not in data.coords:
-        value = record.get("constants", {}).get(name, getattr(Params(), name))
-        constant = f"{value:.8g} {QUANTITIES[name]['unit']}".removesuffix(" 1")
-    if name not in dims and isinstance(constant, str):
-        raise PlotError(
-            f"'{name}' does not vary here: it is {constant}. There are: {', '.join(dims)}."
-        )
+    held = json.loads(data.attrs.get("held", "{}"))
+    if name in held and name not in dims:
+        value = held[name]
+        if name in QUANTITIES:
+            value = f"{value:.8g} {QUANTITIES[name]['unit']}".removesuffix(" 1")
+        there = ", ".join(dims)
+        raise PlotError(f"'{name}' does not vary here: it is {value}. There are: {there}.")
     _require(name, dims, "dimension")
 
 
@@ -195,27 +193,24 @@ def _position(coordinate: xr.DataArray, wanted: float | str) -> int:
 
 def _held(data: xr.Dataset) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The contact of the whole sweep, and all else that it holds constant, the defaults last."""
-    record = json.loads(data.attrs.get("sweep", "{}"))
-    if not record:
-        return (), ()
-    model, named = record.get("model", {}), record.get("constants", {})
-    chosen = {name: choice for name, choice in model.items() if isinstance(choice, str)}
-    contact = "" if isinstance(model.get("contact"), list) else model.get("contact", "hard_stop")
+    held = json.loads(data.attrs.get("held", "{}"))
+    defaults = data.attrs.get("held_by_default", "").split()
+    times = [f"{name} = {held[name]:.8g} s" for name in ("dt", "t_end") if name in held]
+    choices = {name: choice for name, choice in held.items() if isinstance(choice, str)}
+    numbers = {name: value for name, value in held.items() if name in QUANTITIES}
     given = [
-        f"{name}: {style.words(choice)}" for name, choice in chosen.items() if name != "contact"
+        f"{name}: {style.words(choice)}"
+        for name, choice in choices.items()
+        if name not in ("contact", *defaults)
     ]
-    given += [_constant(name, value) for name, value in named.items()]
-    times = [f"{name} = {value:.8g} s" for name, value in record.get("time", {}).items()]
-    default = {
-        name: value
-        for name, value in vars(Params()).items()
-        if name not in named and name not in data.coords
-    }
+    given += [_constant(name, value) for name, value in numbers.items() if name not in defaults]
+    default = {name: value for name, value in numbers.items() if name in defaults}
     rest = [_constant(name, value) for name, value in default.items() if value]
     zero = ", ".join(style.SYMBOLS[name] for name, value in default.items() if not value)
     rest += [f"{zero} = 0"] if zero else []
     rest[:1] = [f"by default {text}" for text in rest[:1]]
-    return ((style.words(contact),) if contact else ()), (*given, *times, *rest)
+    contact = (style.words(choices["contact"]),) if "contact" in choices else ()
+    return contact, (*given, *times, *rest)
 
 
 def _constant(name: str, value: float) -> str:

@@ -1,6 +1,6 @@
 """A heatmap shows the selected plane with its labels; a cell without a value gets no colour."""
 
-import json
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -13,15 +13,32 @@ from matplotlib.collections import LineCollection, QuadMesh
 from matplotlib.colors import LogNorm, to_rgb
 from matplotlib.figure import Figure
 
+from fic_jax import QUANTITIES
 from figures import PlotError, panels, plot, save, select, style
 from sweeps.plan.grid import Grid
 from sweeps.spec.reading import parse
+from sweeps.spec.types import Sweep
 from sweeps.store import format as store_format
 from tests import legible
 
 PLAN = parse('name = "small"\n[axes]\nK0 = [1.0, 2.0]', "small.toml")
 
 UNITS = {"K0": "N*m/rad", "Kenv": "N*m/rad", "Td": "N*m", "period": "s", "Denv": "N*m*s/rad"}
+
+
+RECORD = {
+    "constants": {"sigma": 0.02, "Denv": 63.2},
+    "model": {"contact": "hard_stop", "integrator": "rk4_events"},
+    "time": {"dt": 0.001, "t_end": 10.0},
+}
+
+
+def says(data: xr.Dataset, record: dict[str, Any] = RECORD) -> dict[str, str]:
+    """The attributes of a store of such a sweep over the axes of `data`."""
+    axes = {str(name): [1.0] for name in data.coords if name in QUANTITIES}
+    sweep = Sweep.model_validate({"name": "test", "axes": axes} | record)
+    said = store_format.attributes(Grid(sweep))
+    return {name: said[name] for name in ("held", "held_by_default")}
 
 
 def dataset(**axes):
@@ -277,7 +294,7 @@ def test_panels_of_different_metrics_are_refused(atlas):
     ],
 )
 def test_a_wrong_request_gets_one_clear_line(atlas, request_, message):
-    atlas.attrs["sweep"] = json.dumps(RECORD)
+    atlas.attrs |= says(atlas)
     with pytest.raises(PlotError, match=message) as caught:
         plot(atlas, **({"x": "Kenv", "y": "K0"} | request_))
     assert "\n" not in str(caught.value)
@@ -316,7 +333,7 @@ def test_nothing_in_the_figure_is_cut_off(paper):
 
 
 def test_every_heatmap_can_be_read_in_a_column_and_in_grey(paper):
-    paper.attrs["sweep"] = json.dumps(RECORD)
+    paper.attrs |= says(paper)
     legible.check(plot(paper, x="Td", y="K0"))
     legible.check(plot(paper, x="contact", y="Td"))
 
@@ -355,13 +372,6 @@ def test_the_same_figure_is_saved_as_the_same_bytes(tmp_path, paper):
     assert b"Software" not in first
 
 
-RECORD = {
-    "constants": {"sigma": 0.02, "Denv": 63.2},
-    "model": {"contact": "hard_stop", "integrator": "rk4_events"},
-    "time": {"dt": 0.001, "t_end": 10.0},
-}
-
-
 def held(figure: Figure) -> str:
     (box,) = figure.legends
     return box.get_title().get_text().replace("\n", " ")
@@ -369,7 +379,7 @@ def held(figure: Figure) -> str:
 
 def test_a_picture_states_all_that_the_sweep_holds_constant(atlas):
     """What nobody named too: a reader can't know that Fmax is 15, or that the period is 10 ms."""
-    atlas.attrs |= {"sweep": json.dumps(RECORD), "description": "An atlas of a few cells"}
+    atlas.attrs |= says(atlas) | {"description": "An atlas of a few cells"}
     figure = plot(atlas, x="Kenv", y="K0")
     shown, default = held(figure).split("by default ")
     for text in (r"$\sigma$ = 0.02", "$D_{env}$ = 63.2 N·m·s/rad", "dt = 0.001 s", "t_end = 10 s"):
@@ -382,7 +392,7 @@ def test_a_picture_states_all_that_the_sweep_holds_constant(atlas):
 
 def test_panels_hold_what_all_share_and_each_title_has_its_own(atlas):
     other = RECORD | {"constants": {"sigma": 0.01, "Denv": 63.2}}
-    sweeps = [atlas.assign_attrs(sweep=json.dumps(record)) for record in (RECORD, other)]
+    sweeps = [atlas.assign_attrs(says(atlas, record)) for record in (RECORD, other)]
     figure = panels([("", select(data, x="Kenv", y="K0")) for data in sweeps])
     titles = [axes.get_title() for axes in figure.axes[:2]]
     assert titles == [r"$\sigma$ = 0.02", r"$\sigma$ = 0.01"]
