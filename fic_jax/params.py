@@ -159,7 +159,8 @@ def of_one_type(key: str, params: Any) -> Params:
         name: real(name, value, QUANTITIES[name]["unit"]) for name, value in vars(params).items()
     }
     dtype = float_type(leaves.values())
-    return Params(**{name: strong(leaf, dtype) for name, leaf in leaves.items()})
+    with np.errstate(over="ignore", under="ignore"):  # checked as the inf or zero it becomes
+        return Params(**{name: strong(leaf, dtype) for name, leaf in leaves.items()})
 
 
 def steps_per_period(period: Scalar, dt: Scalar) -> jax.Array:
