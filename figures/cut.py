@@ -24,6 +24,7 @@ from sweeps.store.format import (
     TRUSTED,
 )
 
+UNEVEN = 20  # mean over least step, beyond which each value gets the same width
 MOST_COMPARED = 100_000  # values of a dimension; the digits of more are not compared
 Wanted = Mapping[str, float | str]  # dimension -> the value at which it is fixed
 
@@ -257,13 +258,18 @@ def scale_of(coordinate: xr.DataArray) -> str:
     wide = len(positive) > 1 and positive[-1] > 10**1.5 * positive[0]
     if len(positive) < len(ordered):
         # a log axis has no zero, and a linear axis would leave no room for the small decades
-        return "category" if wide else "linear"
+        return "category" if wide else _drawable("linear", np.diff(ordered))
     # within a factor of two both scales look alike, and a log axis has no tick
-    if wide or len(ordered) < 3 or ordered[-1] < 2 * ordered[0]:
-        return "log" if wide else "linear"
     steps, ratios = np.diff(ordered), np.diff(np.log(ordered))
     uneven = np.std(steps) / np.mean(steps) > np.std(ratios) / np.mean(ratios)
-    return "log" if uneven else "linear"
+    decided = wide or len(ordered) < 3 or ordered[-1] < 2 * ordered[0]
+    log = wide if decided else uneven
+    return _drawable("log" if log else "linear", ratios if log else steps)
+
+
+def _drawable(scale: str, steps: NDArray[np.float64]) -> str:
+    """The scale, or "category" if a value would have no width beside its neighbours."""
+    return "category" if np.mean(steps) > UNEVEN * np.min(steps) else scale
 
 
 def edges_of(values: NDArray[Any], scale: str) -> NDArray[np.float64]:

@@ -6,6 +6,7 @@ two such fields the metric is their colour.
 
 import json
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,9 +31,11 @@ from figures.cut import (
     require_metric,
     scale_of,
     symbol,
+    units,
     with_units,
 )
 from figures.planes import Axis, axis
+from sweeps.spec.digits import digits
 
 FEW_MARKERS = 60  # values of a line up to which each has a marker
 MARGIN = 0.04  # of the axis, beyond the outermost dots
@@ -86,12 +89,25 @@ def select(
     part = cut(data, (along,), metric, at or {})
     if x == along and scale_of(_coordinate(part, x)) != "category":
         part = part.sortby(x)
+    drawn = cells(part, metric)
     return Points(
-        **vars(cells(part, metric)),
+        **vars(drawn) | {"held": (*drawn.held, *_varying(part, along, {along, x, y}))},
         x=axis(_coordinate(part, x)) if x == along else _spread(part, x),
         y=None if y is None else _spread(part, y),
         own=x == along,
     )
+
+
+def _varying(part: xr.Dataset, dim: str, drawn: set[str | None]) -> Iterator[str]:
+    """The fields that vary with what is drawn, and are not drawn themselves."""
+    for name, coordinate in part.coords.items():
+        values = coordinate.values
+        if name in drawn or coordinate.dims != (dim,) or values.min() == values.max():
+            continue
+        ends = (values.min(), values.max())
+        low, high = (style.number(end, digits(ends)) for end in ends)
+        unit = style.units_text(units(coordinate))
+        yield f"varying too: {symbol(coordinate)} = {low} to {high} {unit}".strip()
 
 
 def _dimension(name: str, data: xr.Dataset, metric: str) -> str:

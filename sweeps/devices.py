@@ -11,6 +11,7 @@ import jax
 from fic_jax.engine.tuning import CPU_FLAGS
 from sweeps.spec.mistakes import SweepError
 
+PLATFORM = ("JAX_PLATFORMS", "JAX_PLATFORM_NAME")
 _PARSE = "from jaxlib import xla_client; xla_client.CompileOptions()"  # reads XLA_FLAGS
 
 
@@ -46,9 +47,11 @@ def start(device: str | None) -> None:
     # AssertionError: JAX_PLATFORMS=cuda where JAX has no plugin for CUDA
     except (RuntimeError, AssertionError, ValueError) as error:
         allowed = jax.config.jax_platforms  # type: ignore[attr-defined]
+        names = [f"{n}={os.environ[n]}" for n in PLATFORM if os.environ.get(n)]
+        variables = " ".join(names) or f"JAX_PLATFORMS={allowed}"
         finds = f"JAX {jax.__version__} finds no {device or 'such device'} here"
-        if allowed and device != "cpu":
-            why = f"JAX_PLATFORMS={allowed}: {finds}; unset the variable, or change it"
+        if (allowed or names) and device != "cpu":
+            why = f"{variables}: {finds}; unset the variable, or change it"
         elif device and device != "cpu":
             why = f"{finds}; a GPU needs a driver and `pip install 'jax[cuda12]'`"
         else:

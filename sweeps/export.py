@@ -4,10 +4,15 @@ Units, meanings and constants are in the attributes of Parquet (pandas reads the
 and NetCDF. Those of a CSV are in a second file: a comment in the first would end up in its data.
 """
 
+import errno
+import gc
+import io
 import json
 import math
 import os
+import re
 from collections.abc import Iterator
+from contextlib import redirect_stderr
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +20,7 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from sweeps.spec.mistakes import SweepError
+from sweeps.spec.mistakes import DISK, SweepError
 from sweeps.store.format import FLAGS
 
 SUFFIX = {"csv": ".csv", "parquet": ".parquet", "netcdf": ".nc"}
@@ -41,6 +46,8 @@ def write(data: xr.Dataset, path: Path, to: str) -> int:
     except ImportError as error:
         raise SweepError(f"--to {to}: needs {error.name}; pip install 'fic-jax[export]'") from None
     except OSError as error:
+        if error.errno in DISK:
+            raise OSError(error.errno, f"can't be written: {error.strerror}", str(path)) from None
         raise SweepError(f"{path}: can't be written: {error.strerror or error}") from None
     finally:
         partial.unlink(missing_ok=True)
@@ -148,7 +155,16 @@ def _netcdf(data: xr.Dataset, path: Path) -> None:
     for name, flags in _flags(data):
         plain[name].encoding["_FillValue"] = None
         plain[name].attrs["flag_values"] = np.array(list(flags.values()), np.uint8)
-    plain.to_netcdf(path, engine="h5netcdf")
+    # h5py prints a traceback for each object that it can't close on a full disk
+    with redirect_stderr(io.StringIO()):
+        try:
+            plain.to_netcdf(path, engine="h5netcdf")
+        except RuntimeError as error:  # h5py's errors have a number only in their text
+            full = re.search(r"errno = (\d+)", str(error))
+            number = int(full[1]) if full else errno.EIO
+            raise OSError(number, os.strerror(number)) from None
+        finally:
+            gc.collect()
 
 
 _WRITERS = {"csv": _csv, "parquet": _parquet, "netcdf": _netcdf}

@@ -102,7 +102,7 @@ def reopen(path: Path, precision: int) -> Store:
     if differing:
         raise SweepError(
             f"{path}: was begun by another program ({'; '.join(differing)}); "
-            "continue it with that one, or remove it and run the sweep again"
+            f"continue it with that one; {store.run_again()} runs its sweep again"
         )
     return store
 

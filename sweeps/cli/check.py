@@ -20,7 +20,9 @@ def status(path: StorePath) -> None:
     from sweeps.store.opening import open_store
 
     with unreadable_refused(path):
-        lines = status_lines(open_store(path))
+        store = open_store(path)
+        store.check_done()
+        lines = status_lines(store)
     for line in lines:
         print(line)
 

@@ -31,17 +31,25 @@ def dispatch(app: typer.Typer) -> int:
         message = _wrong_request(error)
         if message is not None:
             complain(message)
-            return 2
+            return 1 if disk_refused(error) else 2
         if isinstance(error, OSError | MemoryError):  # the system refused, nobody knows what for
             complain(f"failed: {error or 'out of memory'}")
             return 1
         raise
 
 
+def disk_refused(error: BaseException) -> bool:
+    """Whether the disk is full, or broken: no mistake of the user."""
+    from sweeps.spec.mistakes import DISK
+
+    return isinstance(error, OSError) and error.errno in DISK
+
+
 def _wrong_request(error: Exception) -> str | None:
     """What to say if the request was wrong; None if the program was."""
     if hasattr(error, "format_message"):  # typer refused an option
-        return " ".join(str(error.format_message()).split())
+        text = " ".join(str(error.format_message()).split())
+        return text.replace("Value error, ", "").replace("Input should be", "must be")
     if message := _variables_of_jax(error):
         return message
     from sweeps.spec.mistakes import SweepError
@@ -86,7 +94,7 @@ def unreadable_refused(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, ValueError, KeyError, RuntimeError) as error:
-        if isinstance(error, typer.Exit):
+        if isinstance(error, typer.Exit) or disk_refused(error):
             raise
         if isinstance(error, OSError) and error.filename:
             refuse(f"{path}: can't be read: {error.filename}: {error.strerror}")

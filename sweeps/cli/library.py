@@ -65,7 +65,7 @@ def find(what: str) -> Path:
     if is_store(what):
         described = f"{command('status', given)} describes it"
         refuse(f"{printable(what)}: is a result store, no sweep file; {described}")
-    if given.is_file() or "/" in what or what.endswith(".toml"):
+    if given.is_file() or "/" in what or what.endswith(".toml") or set(what) == {"."}:
         return given
     if path.is_file() and os.path.isfile(f"{what}.toml"):
         complain(f"warning: {what} is the library's sweep; {what}.toml is the file in this folder")
@@ -76,9 +76,9 @@ def find(what: str) -> Path:
     return path
 
 
-def warn(sweep: "Sweep") -> None:
+def warn(sweep: "Sweep", advice: bool = True) -> None:
     """Print what the user should know about an allowed sweep, on stderr."""
     from sweeps.spec.warnings import warnings_of
 
-    for line in warnings_of(sweep):
+    for line in warnings_of(sweep, advice):
         complain(f"warning: {sweep.name}: {line}")

@@ -30,7 +30,7 @@ def plan_lines(grid: Grid, dtype: str) -> list[str]:
     shape = " x ".join(str(n) for n in grid.block_shape)
     estimates = ", error estimates included" if grid.sweep.error_estimate else ""
     return [
-        f"{_dims(grid)} = {grid.cells:,} scenarios of {grid.sweep.n_steps:,} steps",
+        f"{_dims(grid)} = {counted(grid.cells, 'scenario')} of {grid.sweep.n_steps:,} steps",
         f"{counted(grid.n_blocks, 'block')} of up to {shape}",
         f"{_bytes(size(grid, dtype))} on disk before compression, {dtype}{estimates}",
     ]
@@ -68,7 +68,8 @@ def expectation(grid: Grid, compiling: float, rate: float) -> str:
     choices = grid.sweep.model.values()
     models = math.prod(len(choice) for choice in choices if isinstance(choice, list))
     seconds = models * compiling + grid.cells / rate
-    speed = f"{rate:,.0f} scenarios/s ({rate * grid.sweep.n_steps / 1e6:,.0f} M steps/s)"
+    steps = rate * grid.sweep.n_steps / 1e6
+    speed = f"{rate:,.0f} scenarios/s ({steps:,.{0 if steps >= 10 else 1}f} M steps/s)"
     return f"about {_duration(seconds)} at {speed} on this machine, measured just now"
 
 
@@ -156,12 +157,12 @@ def log_line(progress: Progress) -> str:
 def summary(store: Store, result: Progress) -> str:
     """What a run has done."""
     if not result.ran and not result.set_aside:
-        return f"{store.path}: complete already, {result.cells:,} scenarios"
+        return f"{store.path}: complete already, {counted(result.cells, 'scenario')}"
     rate = result.ran / result.seconds
     steps = rate * store.grid.sweep.n_steps / 1e6
     speed = f", {rate:,.0f}/s ({steps:,.0f} M steps/s)" if steps >= 1 else ""
     diverged = f", {result.diverged:,} diverged" if result.diverged else ""
-    first = f"{result.ran:,} scenarios in {_duration(result.seconds)}{speed}{diverged}"
+    first = f"{counted(result.ran, 'scenario')} in {_duration(result.seconds)}{speed}{diverged}"
     return "\n".join([f"{store.path}: {first}", *_trusted(Counts.of(store))])
 
 
@@ -197,12 +198,12 @@ def verification(path: Path, report: Report) -> Iterator[str]:
 def interrupted(store: Store, error: BaseException) -> str:
     """Why a run ended early, how many blocks are done, and how to continue."""
     why = "interrupted" if isinstance(error, KeyboardInterrupt) else f"failed: {_reason(error)}"
-    total, rest = store.grid.n_blocks, f"{_resume(store)} does the rest"
+    rest = f"{_resume(store)} does the rest"
     try:
-        done = total - len(Counts.of(store).pending)
+        done, all_ = Counts.of(store).done, store.grid.cells
     except (OSError, SweepError):  # the folder is gone, or has become unreadable
         return f"{why}; what was finished is kept if the folder is, {rest}"
-    return f"{why}; {done} of {total} blocks are kept, {rest}"
+    return f"{why}; {done:,} of {counted(all_, 'scenario')} are kept, {rest}"
 
 
 def _resume(store: Store) -> str:

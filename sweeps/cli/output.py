@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sweeps.cli.arguments import NewFile, StorePath
-from sweeps.cli.errors import complain, refuse, unreadable_refused
+from sweeps.cli.errors import complain, disk_refused, fail, refuse, unreadable_refused
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -58,9 +58,9 @@ def plot(
         picture = choose(data, x=x, y=y, metric=metric, at=wanted)
     axes = [axis.name for axis in (picture.x, picture.y) if axis]
     target = out or _named(path, metric, *axes, *_cut(picture.cut))
+    _say_where(path, values, [picture.cut])
     _refuse_existing(target, force)
     _save(draw(picture), target, data)
-    _say_where(path, values, [picture.cut])
 
 
 def history(
@@ -86,11 +86,11 @@ def history(
     cuts = [cell.cut for cell, _ in cells]
     taken = {dim: ",".join(dict.fromkeys(cut[dim] for cut in cuts)) for dim in cuts[0]}
     target = out or _named(path, "history", *_cut(taken))
+    _say_where(path, values, cuts)
     _refuse_existing(target, force)
     runner.configure(int(store.dtype.removeprefix("float")), "cpu")
     motions = [History(cell, simulate(store.grid, index, store.dtype)) for cell, index in cells]
     _save(draw(motions), target, data)
-    _say_where(path, values, cuts)
 
 
 def export(
@@ -100,7 +100,10 @@ def export(
     force: Force = False,
 ) -> None:
     """Write a store as one table or one NetCDF file."""
+    from sweeps.cli.messages import counted
     from sweeps.export import SUFFIX, files, write
+    from sweeps.spec.mistakes import command
+    from sweeps.store.format import NOT_RUN
     from sweeps.store.opening import dataset
 
     target = out or Path(_store_name(path) + SUFFIX[to.value])
@@ -108,9 +111,18 @@ def export(
         _refuse_existing(file, force)
     data = dataset(path)
     with unreadable_refused(path):
-        rows = write(data, target, to.value)
+        try:
+            rows = write(data, target, to.value)
+        except OSError as error:
+            complain(f"{error.filename}: {error.strerror}")
+            if to is Format.netcdf:
+                os._exit(1)  # HDF5 would try to close its file, and crash
+            raise typer.Exit(1) from None
     names = " and ".join(map(str, files(target, to.value)))
-    print(f"wrote {names}, {rows:,} scenarios{_old_definition(data)}")
+    print(f"wrote {names}, {counted(rows, 'scenario')}{_old_definition(data)}")
+    left = int((data["status"] == NOT_RUN).sum())
+    if left:
+        complain(f"warning: {left:,} of them were not run; {command('resume', path)} runs them")
 
 
 def check_matplotlib() -> None:
@@ -123,7 +135,18 @@ def check_matplotlib() -> None:
 
 
 def _refuse_existing(target: Path | None, force: bool) -> None:
-    if target is not None and not force and os.path.lexists(target):
+    """Refuse a file that exists, what is no file, and all that lies in a store."""
+    if target is None:
+        return
+    from sweeps.store.place import store_around
+
+    if outer := store_around(target):
+        refuse(f"{target}: lies in the store {outer}; --out names another place")
+    if not os.path.lexists(target):
+        return
+    if not target.is_file() and not target.is_symlink():
+        refuse(f"{target}: is no regular file; --out names another")
+    if not force:
         refuse(f"{target}: exists already; --force replaces it, --out names another")
 
 
@@ -146,6 +169,8 @@ def _save(figure: "Figure", target: Path, data: "xr.Dataset") -> None:
     try:
         save(figure, target)
     except OSError as error:
+        if disk_refused(error):
+            fail(f"{target}: can't be written: {error.strerror}")
         refuse(f"{target}: can't be written: {error.strerror or error}")
     except ValueError as error:
         refuse(f"{target}: can't be written: {error}")
@@ -175,7 +200,7 @@ def _say_where(
     rest = {dim: value for dim, value in cuts[0].items() if dim not in wanted}
     if rest:
         middle = " ".join(_cut(rest))
-        print(f"cut in the middle of the dimensions that --at does not name: --at {middle}")
+        print(f"drawn at --at {middle}, because no --at names another value")
 
 
 def _same(asked: str, taken: str) -> bool:

@@ -1,5 +1,6 @@
 """`run` and `resume`: compute the blocks of a store."""
 
+import os
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -8,7 +9,7 @@ import typer
 
 from sweeps.cli import interruption
 from sweeps.cli.arguments import NewStore, StorePath
-from sweeps.cli.errors import fail, system_errors_reported
+from sweeps.cli.errors import complain, fail, system_errors_reported
 from sweeps.cli.library import find, read, warn
 from sweeps.cli.process import importing
 from sweeps.cli.progress import run_with_progress
@@ -68,7 +69,10 @@ def run(
     if dry_run:
         _print_plan(sweep, chunk)
         warn(sweep)
-        runner.check_start(path, sweep, chunk, sweep.bits)
+        if os.path.lexists(path):  # one may ask for the size before one removes it
+            complain(f"warning: {path} exists already: `run` needs another --out")
+        else:
+            runner.check_start(path, sweep, chunk, sweep.bits)
         return
     store = runner.start(path, sweep, chunk, sweep.bits)
     warn(sweep)  # a refused sweep needs no warning
@@ -95,7 +99,9 @@ def resume(
         store = reopen(path)
         if larger:
             store = extension.extend(store, larger, str(file))
-            warn(larger)
+            warn(larger, advice=False)  # a store keeps its dt and precision
+        else:
+            store.check_done()
     _finish(store, stop)
 
 

@@ -126,7 +126,10 @@ def _reopened(path: Path, library: Path, name: str) -> Store:
             f"{command('report', '--results', path.parent)} runs the sweep again, or name another "
             "folder with --results"
         )
-    return runner.reopen(path, int(store.dtype.removeprefix("float")))
+    try:
+        return runner.reopen(path, int(store.dtype.removeprefix("float")))
+    except SweepError as error:
+        raise SweepError(f"{error}; or remove it, and the report runs it again") from None
 
 
 def origin(paths: Mapping[str, Path]) -> dict[str, str]:

@@ -1,14 +1,15 @@
 """A wrong request, as text: one line that names file, key, value and what would be right."""
 
 import difflib
+import errno
 import json
 import re
 import shlex
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from fic_jax import QUANTITIES
+from fic_jax import CHOICES, QUANTITIES
 from sweeps.spec.types import RandomDesign, Range, Record, SpacedRange, Sweep, Time
 
 OTHER_WORDS = {  # key -> what it is called elsewhere; the words of its meaning are known besides
@@ -23,6 +24,10 @@ OTHER_WORDS = {  # key -> what it is called elsewhere; the words of its meaning 
     "precision": ("bits", "dtype", "float"),
 }
 MAX_QUOTED = 300  # characters of foreign text in a message
+
+
+# The disk refused, whatever the request was: a failure, no mistake of the user.
+DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 class SweepError(Exception):
@@ -94,11 +99,38 @@ _WANTED = {
 }
 
 
+def misplaced(path: Sequence[str]) -> str | None:
+    """What to say of a key that exists, but in another table; None of any other key."""
+    table, name = path[:2] if len(path) > 1 else ("", path[0])
+    home = _HOMES.get(name)
+    if not home or table in (*home, "sample.ranges") or (not table and name in _TABLES):
+        return None
+    places = " or ".join(f"in [{place}]" if place else "at the top" for place in home)
+    before = ", before any [table]" if home == ("",) else ""
+    return f"`{'.'.join(filter(None, (table, name)))}` must stand {places}{before}."
+
+
+_TABLES = ("time", "model", "constants", "axes", "cases", "sample")
+_HOMES: dict[str, tuple[str, ...]] = {
+    **{name: ("",) for name in Sweep.model_fields if name not in _TABLES},
+    **dict.fromkeys(RandomDesign.model_fields, ("sample",)),
+    **dict.fromkeys(Time.model_fields, ("time",)),
+    **dict.fromkeys(CHOICES, ("model",)),
+    **dict.fromkeys(QUANTITIES, ("constants", "axes", "cases")),
+}
+
+
 def explain(error: Any) -> str:
     """One error of pydantic: the key, what would be right, the value."""
     kind, context = error["type"], error.get("ctx", {})
     path = [str(part) for part in error["loc"] if part not in ("list", "table", "text")]
     key = ".".join(path) or "the file"
+    if path and (line := misplaced(path)):
+        return line
+    if error["loc"] and isinstance(error["loc"][-1], int):  # a person counts from 1
+        where = f"value {error['loc'][-1] + 1} of `{'.'.join(path[:-1])}`"
+    else:
+        where = f"`{key}`"
     if kind == "missing":
         return f"`{key}` must be given, but is missing."
     if kind == "extra_forbidden":
@@ -115,7 +147,7 @@ def explain(error: Any) -> str:
         wanted = f"at most {context['max_length']:,} letters long"
     elif wanted is None:
         wanted = re.sub(r"^Input should be ", "", error["msg"])
-    return f"`{key}` must be {wanted}, but is {excerpt(error['input'])}."
+    return f"{where} must be {wanted}, but is {excerpt(error['input'])}."
 
 
 def excerpt(value: Any) -> str:

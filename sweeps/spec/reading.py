@@ -67,8 +67,14 @@ def parse(text: str, source: str, overrides: tuple[str, ...] = ()) -> Sweep:
         raise SweepError(f"{source}: not valid TOML: nested too deeply") from None
     except ValueError:  # Python converts at most 4300 digits
         raise SweepError(f"{source}: not valid TOML: a number of thousands of digits") from None
+    wrong = []
     for assignment in overrides:
-        override(raw, assignment)
+        try:
+            override(raw, assignment)
+        except SweepError as error:
+            wrong.append(str(error))
+    if wrong:
+        raise SweepError("\n".join(wrong))
     return validate(raw, f"{source} with --set" if overrides else source)
 
 

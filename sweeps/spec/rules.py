@@ -8,7 +8,7 @@ import numpy as np
 
 from fic_jax import CHOICES, QUANTITIES, Model, Params, ParamsError
 from fic_jax.params import check, check_field
-from sweeps.spec.mistakes import excerpt, hint
+from sweeps.spec.mistakes import excerpt, hint, misplaced
 from sweeps.spec.types import (
     MAX_AXIS,
     MAX_CELLS,
@@ -28,10 +28,12 @@ def unknown_names(sweep: Sweep) -> Iterator[str]:
     for table, fields in sweep.values_to_check().items():
         for name in fields:
             if name not in QUANTITIES:
-                yield f"unknown key `{table}.{name}`{hint(name, QUANTITIES)}"
+                unknown = f"unknown key `{table}.{name}`{hint(name, QUANTITIES)}"
+                yield misplaced([table, name]) or unknown
     for name, chosen in sweep.model.items():
         if name not in CHOICES:
-            yield f"unknown key `model.{name}`{hint(name, CHOICES)}"
+            unknown = f"unknown key `model.{name}`{hint(name, CHOICES)}"
+            yield misplaced(["model", name]) or unknown
             continue
         options = chosen if isinstance(chosen, list) else [chosen]
         if len(set(options)) < len(options):

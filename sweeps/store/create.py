@@ -11,13 +11,13 @@ from typing import Any
 import zarr
 
 from sweeps.plan.grid import Grid
-from sweeps.spec.mistakes import SweepError, command
+from sweeps.spec.mistakes import DISK, SweepError, command
 from sweeps.store import format as store_format
 from sweeps.store.fsync import PARTIAL, sync, sync_tree
 from sweeps.store.ledger import LEDGER, Ledger, LedgerError
 from sweeps.store.lock import LOCK, locked
 from sweeps.store.opening import Store, open_store
-from sweeps.store.place import before_extension, place_of_new
+from sweeps.store.place import before_extension, place_of_new, store_around
 
 
 def create(path: Path, grid: Grid, made_by: Mapping[str, Any]) -> Store:
@@ -40,6 +40,8 @@ def create(path: Path, grid: Grid, made_by: Mapping[str, Any]) -> Store:
                 with suppress(OSError):  # not made, or another process uses it
                     folder.rmdir()
         reason = getattr(error, "strerror", None) or error
+        if isinstance(error, OSError) and error.errno in DISK:
+            raise OSError(error.errno, f"can't be written: {reason}", str(path)) from None
         raise SweepError(f"{path}: can't be written: {reason}") from None
     return open_store(path)
 
@@ -54,8 +56,7 @@ def check_new(path: Path, grid: Grid, dtype: str) -> Path:
 
 def refuse_existing(path: Path) -> None:
     """Raise SweepError if a new store would replace something."""
-    outer = next((f for f in path.absolute().parents if os.path.isfile(f / "zarr.json")), None)
-    if outer:
+    if outer := store_around(path):
         raise SweepError(f"{path}: lies in the store {outer}; --out names another place")
     if path.exists() or path.is_symlink():
         try:

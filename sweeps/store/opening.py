@@ -98,12 +98,15 @@ class Store:
     def check_definition(self) -> None:
         """Raise SweepError if this program computes metrics of another definition."""
         if self.definition != DEFINITION:
-            out = Path(f"{self.grid.sweep.name}-{DEFINITION}.zarr")
             raise SweepError(
                 f"{self.path}: its metrics are {DEFINITIONS[self.definition]}, this program's are "
                 f"{DEFINITIONS[DEFINITION]}: it can't be continued; "
-                f"{command('run', self.path, '--out', out)} runs its sweep again"
+                f"{self.run_again()} runs its sweep again"
             )
+
+    def run_again(self) -> str:
+        """The command that runs its sweep again, into another store."""
+        return command("run", self.path, "--out", Path(f"{self.path.stem}-again.zarr"))
 
     def sweep_again(self, overrides: Sequence[str] = ()) -> Sweep:
         """Its sweep for a new run, changed as by `--set`. Raises SweepError for a mistake."""
@@ -119,16 +122,17 @@ class Store:
         repair = command("verify", self.path, "--repair")
         return SweepError(f"{self.path}: {what}; {repair} mends it")
 
-    def check_files(self) -> None:
+    def check_done(self) -> None:
         """Check that each file of a block with a row is a file of its recorded size.
 
         Raises SweepError: Zarr would read a missing one as fill values, and a foreign one could
         fill the memory.
         """
-        if self.ledger is None:
-            return
-        rows = self.rows()
-        # `status` first: a run writes it last, perhaps during this scan
+        self._other_files(self.rows())
+
+    def _other_files(self, rows: list[Row]) -> dict[str, dict[str, int]]:
+        """Variable -> file -> size, of all that is no file of a block with a row."""
+        # `status` first: a run writes it last, perhaps during this scan; `rows` are older
         sizes = {name: _sizes(self.path / name) for name in reversed(self.variables)}
         files = [file for row in rows for file in self.files(row)]
         wrong = [f for f, known in files if sizes[f.parent.name].pop(f.name, -1) != known.size]
@@ -136,6 +140,14 @@ class Store:
             first = wrong[0].relative_to(self.path)
             more = f" and {len(wrong) - 1:,} more files" if len(wrong) > 1 else ""
             raise self.damaged(f"lacks {first}{more}, of finished blocks")
+        return sizes
+
+    def check_files(self) -> None:
+        """Raise SweepError as `check_done` does, and for a block that is half written."""
+        if self.ledger is None:
+            return
+        rows = self.rows()
+        sizes = self._other_files(rows)
         rest = {(name, file) for name, found in sizes.items() for file in found}
         if not rest:  # files of blocks without a row, or of nobody
             return

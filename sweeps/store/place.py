@@ -41,6 +41,12 @@ def before_extension(path: Path) -> Path:
     return path.with_name(f".{path.name}.before")
 
 
+def store_around(path: Path) -> Path | None:
+    """The store in which a path lies, if any."""
+    parents = Path(os.path.realpath(path)).parents
+    return next((folder for folder in parents if os.path.isfile(folder / "zarr.json")), None)
+
+
 def place_of_new(typed: str | Path) -> Path:
     """The place of something new. Raises SweepError if the path has a link that leads nowhere."""
     path = Path(os.path.expanduser(typed))

@@ -577,3 +577,16 @@ def test_a_flag_is_no_metric_and_an_error_needs_estimates(judged):
     for metric in ("trusted", "nmse_trusted", "steady_error_error"):
         with pytest.raises(PlotError, match=f"no '{metric}': the store has no error estimates; "):
             plot(bare, x="Kenv", y="K0", metric=metric)
+
+
+@pytest.mark.parametrize(
+    "values", [[-8.0, -3.5e-7, -2e-7, -1e-7], [1e-9, 1.1e-9, 3.0], [0.0, 1e-6, 5.0, 10.0]]
+)
+def test_each_value_of_an_uneven_list_has_width_and_a_tick(values):
+    """On an even scale the close ones had no width, and looked as if they had not been run."""
+    axes = panel(plot(dataset(Td=values, K0=[1.0, 2.0]), x="Td", y="K0"))
+    (mesh,) = (c for c in axes.collections if isinstance(c, QuadMesh))
+    edges = mesh.get_coordinates()[0, :, 0]
+    assert np.diff(edges).min() > 0.05 * np.ptp(edges)
+    labels = [text.get_text() for text in axes.xaxis.get_ticklabels() if text.get_text()]
+    assert len(set(labels)) == len(values)

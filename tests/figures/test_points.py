@@ -9,6 +9,7 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 
 from figures import PlotError, plot, style
+from figures.points import select
 from tests import legible
 
 K0 = np.geomspace(1.0, 1000.0, 7)
@@ -156,3 +157,18 @@ def test_a_wrong_request_gets_one_clear_line(request_, message):
     with pytest.raises(PlotError, match=message) as caught:
         plot(design(), **request_)
     assert "\n" not in str(caught.value)
+
+
+def test_what_varies_unseen_along_the_drawn_field_is_named():
+    """A dot over K0 of a case has another Td too: no effect of K0 alone."""
+    data = xr.Dataset(
+        {"nmse": ("case", [0.1, 0.2, 0.3], {"long_name": "error", "units": "1"})},
+        coords={
+            "case": [0, 1, 2],
+            "K0": ("case", [5.0, 10.0, 3.0], {"units": "N*m/rad"}),
+            "Td": ("case", [1.0, 2.0, 3.0], {"units": "N*m"}),
+            "gap": ("case", [0.0, 0.0, 0.0], {"units": "rad"}),
+        },
+    )
+    held = select(data, x="K0", y=None, metric="nmse").held
+    assert [text for text in held if "varying" in text] == ["varying too: $T_d$ = 1 to 3 N·m"]

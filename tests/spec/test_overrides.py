@@ -112,6 +112,15 @@ def test_the_message_about_a_range_shows_one_that_works(value):
     assert [(axis[0], axis[-1], len(axis)) for axis in axes] == [(300, 3000, 2), (300, 3000, 16)]
 
 
+def test_all_wrong_settings_are_named_at_once():
+    with pytest.raises(SweepError) as refusal:
+        parse(FILE, "f", ("K0=abc", "Td=3", "foo=1"))
+    assert [line.split(":")[0] for line in str(refusal.value).splitlines()] == [
+        "--set K0=abc",
+        "--set foo=1",
+    ]
+
+
 def test_a_key_set_twice_is_refused():
     with pytest.raises(SweepError, match="--set K0=20: `K0` must be set once"):
         refuse_repeated(("K0=10", "Td=3", "K0=20"))
