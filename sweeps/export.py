@@ -4,15 +4,10 @@ Units, meanings and constants are in the attributes of Parquet (pandas reads the
 and NetCDF. Those of a CSV are in a second file: a comment in the first would end up in its data.
 """
 
-import errno
-import gc
-import io
 import json
 import math
 import os
-import re
 from collections.abc import Iterator
-from contextlib import redirect_stderr
 from pathlib import Path
 from typing import Any
 
@@ -36,21 +31,24 @@ def write(data: xr.Dataset, path: Path, to: str) -> int:
     The file has its name, and replaces another of that name, once it is whole.
     """
     place = Path(os.path.realpath(path))  # a link stays a link
-    partial = place.with_name(f".{place.name}.partial")
+    whole = [(file.with_name(f".{file.name}.partial"), file) for file in files(place, to)]
     try:
-        _WRITERS[to](data, partial)
-        partial.replace(place)
-        if to == "csv":
+        _WRITERS[to](data, whole[0][0])
+        for partial, _ in whole[1:]:
             description = json.dumps(_description(data, place.name), indent=1)
-            files(place, to)[1].write_text(description, encoding="utf-8")
+            partial.write_text(description, encoding="utf-8")
+        for partial, file in whole:
+            partial.replace(file)
     except ImportError as error:
         raise SweepError(f"--to {to}: needs {error.name}; pip install 'fic-jax[export]'") from None
     except OSError as error:
         if error.errno in DISK:
-            raise OSError(error.errno, f"can't be written: {error.strerror}", str(path)) from None
+            reason = f"can't be written: {os.strerror(error.errno)}"
+            raise OSError(error.errno, reason, str(path)) from None
         raise SweepError(f"{path}: can't be written: {error.strerror or error}") from None
     finally:
-        partial.unlink(missing_ok=True)
+        for partial, _ in whole:
+            partial.unlink(missing_ok=True)
     return int(data["status"].size)
 
 
@@ -155,16 +153,8 @@ def _netcdf(data: xr.Dataset, path: Path) -> None:
     for name, flags in _flags(data):
         plain[name].encoding["_FillValue"] = None
         plain[name].attrs["flag_values"] = np.array(list(flags.values()), np.uint8)
-    # h5py prints a traceback for each object that it can't close on a full disk
-    with redirect_stderr(io.StringIO()):
-        try:
-            plain.to_netcdf(path, engine="h5netcdf")
-        except RuntimeError as error:  # h5py's errors have a number only in their text
-            full = re.search(r"errno = (\d+)", str(error))
-            number = int(full[1]) if full else errno.EIO
-            raise OSError(number, os.strerror(number)) from None
-        finally:
-            gc.collect()
+    with path.open("w+b") as file:  # HDF5 crashes the process where it can't write to its own file
+        plain.to_netcdf(file, engine="h5netcdf")
 
 
 _WRITERS = {"csv": _csv, "parquet": _parquet, "netcdf": _netcdf}

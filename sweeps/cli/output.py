@@ -116,7 +116,7 @@ def export(
         except OSError as error:
             complain(f"{error.filename}: {error.strerror}")
             if to is Format.netcdf:
-                os._exit(1)  # HDF5 would try to close its file, and crash
+                os._exit(1)  # HDF5 could not close its file, and would crash now
             raise typer.Exit(1) from None
     names = " and ".join(map(str, files(target, to.value)))
     print(f"wrote {names}, {counted(rows, 'scenario')}{_old_definition(data)}")
@@ -238,5 +238,5 @@ def _single(values: Mapping[str, list[str]]) -> dict[str, str]:
     for key, given in values.items():
         if len(given) > 1:
             both = " and ".join(given)
-            refuse(f"--at {key}: is given twice, {both}; `fic-sweep history` draws several")
+            refuse(f"--at {key}: is given twice, {both}; `history` draws several")
     return {key: given[0] for key, given in values.items()}

@@ -50,7 +50,7 @@ WRONG_WITH_STORE = [
     ([*PLOT, "--at", "sigma"], "--at sigma: must be KEY=VALUE, as in --at Td=5"),
     (
         [*PLOT, "--at", "a=1", "--at", "a=2"],
-        "--at a: is given twice, 1 and 2; `fic-sweep history` draws several",
+        "--at a: is given twice, 1 and 2; `history` draws several",
     ),
     (
         [*PLOT, "--metric", "nmse_error"],
