@@ -15,7 +15,8 @@ import numpy as np
 import pandas as pd
 import xarray as xr
 
-from sweeps.spec.mistakes import DISK, SweepError
+from sweeps import disk
+from sweeps.spec.mistakes import SweepError
 from sweeps.store.format import FLAGS
 
 SUFFIX = {"csv": ".csv", "parquet": ".parquet", "netcdf": ".nc"}
@@ -42,9 +43,10 @@ def write(data: xr.Dataset, path: Path, to: str) -> int:
     except ImportError as error:
         raise SweepError(f"--to {to}: needs {error.name}; pip install 'fic-jax[export]'") from None
     except OSError as error:
-        if error.errno in DISK:
-            reason = f"can't be written: {os.strerror(error.errno)}"
-            raise OSError(error.errno, reason, str(path)) from None
+        if disk.refused(error):
+            number = error.errno or 0
+            reason = f"can't be written: {os.strerror(number)}"
+            raise OSError(number, reason, str(path)) from None
         raise SweepError(f"{path}: can't be written: {error.strerror or error}") from None
     finally:
         for partial, _ in whole:

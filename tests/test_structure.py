@@ -41,7 +41,7 @@ ARROWS = {
 # -> spec -> fic_jax. The longest name that fits a module is its room.
 SPEC = {"fic_jax", "sweeps.spec"}
 PLAN = {*SPEC, "sweeps.plan"}
-STORE = {*PLAN, "sweeps.store"}
+STORE = {*PLAN, "sweeps.store", "sweeps.disk"}
 RUNNER = {
     *STORE,
     "sweeps.runner",
@@ -57,6 +57,7 @@ ROOMS = {
     "sweeps.plan": PLAN,
     "sweeps.store": STORE,
     "sweeps.processor": set(),
+    "sweeps.disk": set(),
     "sweeps.compile_cache": {"sweeps.processor"},
     "sweeps.devices": SPEC,
     "sweeps.provenance": {*SPEC, "sweeps"},  # sweeps: where the sources are

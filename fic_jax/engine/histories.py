@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from fic_jax.engine.sweeping import checked_fields, columns, length
+from fic_jax.engine.sweeping import at_once, checked_fields, columns, length
 from fic_jax.inputs import ParamsError, count, on_host, transferred
 from fic_jax.params import QUANTITIES, Model, Params
 from fic_jax.simulation import (
@@ -45,7 +45,7 @@ def histories(
     if n_steps % every:
         raise ParamsError("every", every, f"a divisor of n_steps = {n_steps}")
     params, shape = Params(*columns(fields)), {"n_samples": n_steps // every, "every": every}
-    with jax.ensure_compile_time_eval(), jax.disable_jit(False):  # as `sweep`
+    with at_once():
         samples = on_host(transferred(_sampled, params, h, model=model, **shape))
     signals = {
         name: (("scenario", "time"), getattr(samples, name), _labels(about))

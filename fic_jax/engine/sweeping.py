@@ -2,12 +2,14 @@
 
 import importlib.util
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, get_args, overload
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from fic_jax.accuracy import difference, estimated
@@ -91,11 +93,21 @@ def sweep(
     if not isinstance(error_estimate, bool):
         raise ParamsError("error_estimate", shown(error_estimate), "True or False")
     fields, h, n_steps = checked_fields(batch, model, dt, n_steps, instead="evaluate")
-    # compiled and run at once, whatever the caller traces or debugs
-    with jax.ensure_compile_time_eval(), jax.disable_jit(False):
+    with at_once() as traced:
         devices = tuple(jax.local_devices())
+        if backend == "auto" and fastest(devices[0].platform) == "pallas" and traced:
+            backend = "xla"  # Pallas can't compile while JAX folds constants
         program = _program(backend, model, n_steps, error_estimate, h.dtype, devices)
         return program(columns(fields), h)
+
+
+@contextmanager
+def at_once() -> Iterator[bool]:
+    """Compile and run at once, whatever the caller traces or debugs; yields whether it traces."""
+    with jax.transfer_guard_host_to_device("allow"):
+        traced = isinstance(jnp.zeros(()), jax.core.Tracer)
+    with jax.ensure_compile_time_eval() if traced else nullcontext(), jax.disable_jit(False):
+        yield traced
 
 
 def checked_fields(

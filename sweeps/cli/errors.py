@@ -13,6 +13,8 @@ from typing import NoReturn
 
 import typer
 
+from sweeps import disk
+
 
 def dispatch(app: typer.Typer) -> int:
     """Run the command that the process was started with; returns its exit code.
@@ -31,18 +33,11 @@ def dispatch(app: typer.Typer) -> int:
         message = _wrong_request(error)
         if message is not None:
             complain(message)
-            return 1 if disk_refused(error) else 2
+            return 1 if disk.refused(error) else 2
         if isinstance(error, OSError | MemoryError):  # the system refused, nobody knows what for
             complain(f"failed: {error or 'out of memory'}")
             return 1
         raise
-
-
-def disk_refused(error: BaseException) -> bool:
-    """Whether the disk is full, or broken: no mistake of the user."""
-    from sweeps.spec.mistakes import DISK
-
-    return isinstance(error, OSError) and error.errno in DISK
 
 
 def _wrong_request(error: Exception) -> str | None:
@@ -94,7 +89,7 @@ def unreadable_refused(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, ValueError, KeyError, RuntimeError) as error:
-        if isinstance(error, typer.Exit) or disk_refused(error):
+        if isinstance(error, typer.Exit) or disk.refused(error):
             raise
         if isinstance(error, OSError) and error.filename:
             refuse(f"{path}: can't be read: {error.filename}: {error.strerror}")

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from sweeps import disk
 from sweeps.cli.arguments import NewFile, StorePath
-from sweeps.cli.errors import complain, disk_refused, fail, refuse, unreadable_refused
+from sweeps.cli.errors import complain, fail, refuse, unreadable_refused
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -58,9 +59,10 @@ def plot(
         picture = choose(data, x=x, y=y, metric=metric, at=wanted)
     axes = [axis.name for axis in (picture.x, picture.y) if axis]
     target = out or _named(path, metric, *axes, *_cut(picture.cut))
-    _say_where(path, values, [picture.cut])
+    _warn_of_nearest(path, values, [picture.cut])
     _refuse_existing(target, force)
     _save(draw(picture), target, data)
+    _say_where(values, picture.cut)
 
 
 def history(
@@ -86,11 +88,12 @@ def history(
     cuts = [cell.cut for cell, _ in cells]
     taken = {dim: ",".join(dict.fromkeys(cut[dim] for cut in cuts)) for dim in cuts[0]}
     target = out or _named(path, "history", *_cut(taken))
-    _say_where(path, values, cuts)
+    _warn_of_nearest(path, values, cuts)
     _refuse_existing(target, force)
     runner.configure(int(store.dtype.removeprefix("float")), "cpu")
     motions = [History(cell, simulate(store.grid, index, store.dtype)) for cell, index in cells]
     _save(draw(motions), target, data)
+    _say_where(values, cuts[0])
 
 
 def export(
@@ -169,7 +172,7 @@ def _save(figure: "Figure", target: Path, data: "xr.Dataset") -> None:
     try:
         save(figure, target)
     except OSError as error:
-        if disk_refused(error):
+        if disk.refused(error):
             fail(f"{target}: can't be written: {error.strerror}")
         refuse(f"{target}: can't be written: {error.strerror or error}")
     except ValueError as error:
@@ -187,17 +190,21 @@ def _plot_errors_refused(path: Path) -> Iterator[None]:
         refuse(f"{path}: {error}")
 
 
-def _say_where(
+def _warn_of_nearest(
     path: Path, wanted: Mapping[str, list[str]], cuts: Sequence[Mapping[str, str]]
 ) -> None:
-    """Warn of each value that was not run, and say where nobody chose."""
+    """Warn of each value that was not run."""
     for dim, given in wanted.items():
         taken = [cut[dim] for cut in cuts]
         for value in given:
             if not any(_same(value, one) for one in taken):
                 nearest = min(taken, key=lambda one: abs(float(one) - float(value)))
                 complain(f"warning: {path} has no {dim} = {value}; drawn is the nearest, {nearest}")
-    rest = {dim: value for dim, value in cuts[0].items() if dim not in wanted}
+
+
+def _say_where(wanted: Mapping[str, list[str]], cut: Mapping[str, str]) -> None:
+    """Say where the store was cut without a wish."""
+    rest = {dim: value for dim, value in cut.items() if dim not in wanted}
     if rest:
         middle = " ".join(_cut(rest))
         print(f"drawn at --at {middle}, because no --at names another value")

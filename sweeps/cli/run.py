@@ -100,9 +100,18 @@ def resume(
         if larger:
             store = extension.extend(store, larger, str(file))
             warn(larger, advice=False)  # a store keeps its dt and precision
+            _warn_of_old_folder()
         else:
             store.check_done()
     _finish(store, stop)
+
+
+def _warn_of_old_folder() -> None:
+    """An extension replaces the store's folder: somebody may stand in it."""
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        complain('warning: the store has a new folder; `cd "$PWD"` enters it')
 
 
 def reopen(path: Path) -> "Store":

@@ -1,7 +1,6 @@
 """A wrong request, as text: one line that names file, key, value and what would be right."""
 
 import difflib
-import errno
 import json
 import re
 import shlex
@@ -24,10 +23,6 @@ OTHER_WORDS = {  # key -> what it is called elsewhere; the words of its meaning 
     "precision": ("bits", "dtype", "float"),
 }
 MAX_QUOTED = 300  # characters of foreign text in a message
-
-
-# The disk refused, whatever the request was: a failure, no mistake of the user.
-DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 class SweepError(Exception):

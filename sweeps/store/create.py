@@ -10,8 +10,9 @@ from typing import Any
 
 import zarr
 
+from sweeps import disk
 from sweeps.plan.grid import Grid
-from sweeps.spec.mistakes import DISK, SweepError, command
+from sweeps.spec.mistakes import SweepError, command
 from sweeps.store import format as store_format
 from sweeps.store.fsync import PARTIAL, sync, sync_tree
 from sweeps.store.ledger import LEDGER, Ledger, LedgerError
@@ -40,8 +41,10 @@ def create(path: Path, grid: Grid, made_by: Mapping[str, Any]) -> Store:
                 with suppress(OSError):  # not made, or another process uses it
                     folder.rmdir()
         reason = getattr(error, "strerror", None) or error
-        if isinstance(error, OSError) and error.errno in DISK:
-            raise OSError(error.errno, f"can't be written: {reason}", str(path)) from None
+        if disk.refused(error):
+            raise OSError(
+                getattr(error, "errno", 0), f"can't be written: {reason}", str(path)
+            ) from None
         raise SweepError(f"{path}: can't be written: {reason}") from None
     return open_store(path)
 

@@ -50,7 +50,7 @@ cli.main()
 """
 BLOCKS = 12  # of one cell each
 KEPT = (
-    rf"fic-sweep: interrupted; (\d+) of {BLOCKS} blocks are kept, "
+    rf"fic-sweep: interrupted; (\d+) of {BLOCKS} scenarios are kept, "
     r"`fic-sweep resume tiny.zarr` does the rest"
 )
 
@@ -83,7 +83,7 @@ def test_an_interrupted_run_keeps_its_blocks_and_resume_does_the_rest(
         assert last == []
     assert ended.stdout == ""
     resumed = call("resume", "tiny.zarr", code=0, folder=folder).stdout
-    ran = int(re.match(r"tiny\.zarr: (\d+) scenarios in", resumed)[1])
+    ran = int(re.match(r"tiny\.zarr: (\d+) scenarios? in", resumed)[1])
     if len(signals) == 1:
         assert ran == BLOCKS - kept
     assert 0 < ran <= BLOCKS

@@ -155,7 +155,7 @@ def test_a_store_of_another_definition_is_run_again_not_continued(form, tmp_path
     program, *command = shlex.split(re.search("`(.*)`", line)[1])
     assert program == "fic-sweep"
     assert typed(*command).code == 0
-    again = open_store(Path("golden-motion.zarr"))
+    again = open_store(Path("my store-again.zarr"))
     assert (again.grid.sweep, again.dtype) == (parse(PLAN, "golden.toml"), "float32")
     assert again.definition == "motion"
     exported = typed("export", "my store.zarr", "--to", "csv").stdout
