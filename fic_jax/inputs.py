@@ -2,7 +2,7 @@
 
 import difflib
 import operator
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from decimal import Decimal
 from numbers import Real
 from typing import Any, TypeAlias, TypeVar
@@ -16,6 +16,8 @@ Scalar: TypeAlias = Any  # a float, a 0-d array or a tracer: the physics is for 
 MAX_SHOWN = 60  # characters of a wrong value in a message
 Tree = TypeVar("Tree")
 
+NO_OTHERS: Mapping[str, Sequence[str]] = {}
+
 
 class ParamsError(ValueError):
     """A wrong value: `key` names it, `value` is the value, `wanted` says which would be right."""
@@ -28,18 +30,33 @@ class ParamsError(ValueError):
 class UnknownFieldError(ParamsError, TypeError):
     """A field that the record does not have. Python users expect a TypeError."""
 
-    def __init__(self, record: str, key: str, value: object, known: Iterable[str]):
+    def __init__(self, record: str, key: str, value: object, known: Mapping[str, str]):
         super().__init__(key, value, f"a field of {record}")
         self.args = (f"unknown field `{key}` of {record}{hint(key, known)}",)
 
 
-def hint(word: str, known: Iterable[str]) -> str:
-    """'; did you mean `x`?' if `word` resembles a known word, else all the known words."""
-    names = {name.lower(): name for name in known}
-    near = difflib.get_close_matches(word.lower(), names, n=1, cutoff=0.5)
-    if near:
-        return f"; did you mean `{names[near[0]]}`?"
-    return f"; known are {', '.join(names.values())}"
+def hint(
+    word: str, known: Mapping[str, str], other_words: Mapping[str, Sequence[str]] = NO_OTHERS
+) -> str:
+    """'; did you mean `x` (its meaning)?' if `word` resembles or describes known words, else all.
+
+    `known` has the meaning of each, or an empty text; `other_words` what it is called elsewhere.
+    """
+    lower, given = {name.lower(): name for name in known}, word.lower()
+    described = [
+        name
+        for name, meaning in known.items()
+        if given in (*meaning.lower().replace(",", "").split(), *other_words.get(name, ()))
+    ]
+    near = difflib.get_close_matches(given, lower, n=1, cutoff=0.5)
+    if given in lower:
+        meant = [lower[given]]
+    else:
+        meant = described or [lower[name] for name in near]
+    if not meant:
+        return "; known are " + ", ".join(known)
+    names = [f"`{name}` ({known[name]})" if known[name] else f"`{name}`" for name in meant]
+    return "; did you mean " + " or ".join(names) + "?"
 
 
 def real(name: str, value: Any, unit: str = "1") -> Scalar:

@@ -1,6 +1,7 @@
 """A scenario: its numbers (`Params`, a pytree) and its choices (`Model`, static), both checked."""
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar, get_args
 
@@ -56,14 +57,20 @@ class Params:
         return _with_known_fields(cls, named)
 
 
+def meaning(about: Mapping[str, str]) -> str:
+    """Meaning and unit of a field, from its metadata; empty if it has none."""
+    return f"{about['meaning']}, in {about['unit']}" if about else ""
+
+
 QUANTITIES = {f.name: f.metadata for f in dataclasses.fields(Params)}
 Record = TypeVar("Record")
 
 
 def _with_known_fields(cls: type[Record], named: dict[str, Any]) -> Record:
     """A new object, if its class has the named fields."""
-    known = cls.__dataclass_fields__  # type: ignore[attr-defined]
-    if unknown := [name for name in named if name not in known]:
+    fields = cls.__dataclass_fields__  # type: ignore[attr-defined]
+    if unknown := [name for name in named if name not in fields]:
+        known = {name: meaning(field.metadata) for name, field in fields.items()}
         raise UnknownFieldError(cls.__name__, unknown[0], named[unknown[0]], known)
     return object.__new__(cls)
 

@@ -1,6 +1,5 @@
 """A wrong request, as text: one line that names file, key, value and what would be right."""
 
-import difflib
 import json
 import re
 import shlex
@@ -8,7 +7,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from fic_jax import CHOICES, QUANTITIES
+from fic_jax import CHOICES, QUANTITIES, inputs
+from fic_jax.params import meaning
 from sweeps.spec.types import RandomDesign, Range, Record, SpacedRange, Sweep, Time
 
 OTHER_WORDS = {  # key -> what it is called elsewhere; the words of its meaning are known besides
@@ -37,30 +37,8 @@ def printable(text: str) -> str:
 
 def hint(word: str, known: Iterable[str]) -> str:
     """'; did you mean `x`?' if `word` resembles or describes known words, else all known words."""
-    names = list(known)
-    lower, given = {name.lower(): name for name in names}, word.lower()
-    described = [name for name in names if given in _descriptions(name)]
-    near = difflib.get_close_matches(given, lower, n=1, cutoff=0.5)
-    if given in lower:
-        meant = [lower[given]]
-    else:
-        meant = described or [lower[name] for name in near]
-    if not meant:
-        return "; known are " + ", ".join(names)
-    return "; did you mean " + " or ".join(f"`{name}`{_meaning(name)}" for name in meant) + "?"
-
-
-def _descriptions(name: str) -> list[str]:
-    """Words by which somebody may call a key."""
-    meaning = QUANTITIES[name]["meaning"] if name in QUANTITIES else ""
-    return [*meaning.lower().split(), *OTHER_WORDS.get(name, ())]
-
-
-def _meaning(name: str) -> str:
-    """Meaning and unit of a field, in parentheses."""
-    if name not in QUANTITIES:
-        return ""
-    return f" ({QUANTITIES[name]['meaning']}, in {QUANTITIES[name]['unit']})"
+    meanings = {name: meaning(QUANTITIES.get(name, {})) for name in known}
+    return inputs.hint(word, meanings, OTHER_WORDS)
 
 
 def command(*words: object) -> str:

@@ -91,9 +91,20 @@ WRONG = [
     (lambda: histories(P, dt=0.01, n_steps=None), "`n_steps` must be a whole number"),
     (lambda: sweep(P, dt=0.01, n_steps=np.float64(5)), "`n_steps` must be a whole number"),
     (lambda: histories(P, every=0.5, **RUN), "`every` must be a whole number"),
-    (lambda: Params(k3=1.0), "unknown field `k3` of Params; did you mean `K0`?"),
-    (lambda: Params(kenv=1.0), "unknown field `kenv` of Params; did you mean `Kenv`?"),
-    (lambda: replace(P, stiffness=1.0), "unknown field `stiffness` of Params; known are K0, Fmax"),
+    (
+        lambda: Params(k3=1.0),
+        "unknown field `k3` of Params; did you mean `K0` (constant stiffness of the controller, in",
+    ),
+    (
+        lambda: Params(kenv=1.0),
+        "unknown field `kenv` of Params; did you mean `Kenv` (stiffness of the",
+    ),
+    (
+        lambda: replace(P, stiffness=1.0),
+        "did you mean `K0` (constant stiffness of the controller, in",
+    ),
+    (lambda: Params(foo=1.0), "unknown field `foo` of Params; known are K0, Fmax"),
+    (lambda: Params(inertia=1.0), "did you mean `I` (inertia, in kg*m^2)?"),
     (lambda: Model(laws="effort"), "unknown field `laws` of Model; did you mean `law`?"),
     (lambda: Model(law="algoritm1"), "`law` must be one of algorithm1, effort, energy, but is"),
     (
