@@ -1,6 +1,7 @@
 """`plot`, `history` and `export`: a store as a picture, a table or a NetCDF file."""
 
 import itertools
+import logging
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
@@ -130,6 +131,8 @@ def export(
 
 def check_matplotlib() -> None:
     """Refuse settings of matplotlib that keep it from being imported; all others are ignored."""
+    # it would print lines about settings that no picture of ours has
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     try:
         import matplotlib  # noqa: F401
     except ValueError as error:
