@@ -6,9 +6,10 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from fic_jax.events import FLAT
-from fic_jax.inputs import Scalar, expect, real, transferred
+from fic_jax.inputs import ParamsError, Scalar, expect, on_host, real, shown, transferred
 from fic_jax.metrics import Metrics, Run, deviation, reachable, run_by_steps
 from fic_jax.params import Model, Params
 from fic_jax.piece import rounding
@@ -146,11 +147,24 @@ def trusted(metrics: Metrics, errors: Metrics, t_end: Scalar) -> Metrics:
     the run in seconds. False where a run was not finite. An infinite time is trusted if it is
     infinite in both runs. The leaf `finite` says whether both runs were.
 
-    Raises ParamsError if an argument is of another type.
+    Raises ParamsError if an argument is of another type, or the two Metrics differ in length.
     """
     for name, given in {"metrics": metrics, "errors": errors}.items():
         expect(name, given, Metrics, "those of sweep(..., error_estimate=True)")
-    t_end = real("t_end", t_end)
+    duration = real("t_end", t_end)
+    if not isinstance(duration, jax.core.Tracer):
+        number = on_host(duration)
+        if np.ndim(number) or not 0 < number < np.inf:
+            raise ParamsError("t_end", shown(t_end), "a number, positive and finite, in s")
+    for name in TRUST:
+        shape, other = (np.shape(real(name, getattr(m, name))) for m in (metrics, errors))
+        if shape != other:
+            raise ParamsError("errors", f"of shape {other}", f"of the metrics' shape, {shape}")
+    with jax.transfer_guard_host_to_device("allow"):  # of the user's own numbers
+        return _judged(metrics, errors, duration)
+
+
+def _judged(metrics: Metrics, errors: Metrics, t_end: Scalar) -> Metrics:
 
     def within(name: str) -> Scalar:
         error = jnp.asarray(getattr(errors, name))

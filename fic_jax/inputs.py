@@ -16,6 +16,7 @@ Scalar: TypeAlias = Any  # a float, a 0-d array or a tracer: the physics is for 
 MAX_SHOWN = 60  # characters of a wrong value in a message
 Tree = TypeVar("Tree")
 
+MAX_COUNT = 2**31 - 1  # loops count in int32
 NO_OTHERS: Mapping[str, Sequence[str]] = {}
 
 
@@ -25,6 +26,15 @@ class ParamsError(ValueError):
     def __init__(self, key: str, value: object, wanted: str):
         super().__init__(f"`{key}` must be {wanted}, but is {value}.")
         self.key, self.value, self.wanted = key, value, wanted
+
+    def __reduce__(self) -> Any:  # a process pool pickles it
+        return _remade, (type(self), self.args, vars(self))
+
+
+def _remade(kind: type[ParamsError], args: tuple[Any, ...], fields: dict[str, Any]) -> ParamsError:
+    error = kind.__new__(kind, *args)
+    vars(error).update(fields)
+    return error
 
 
 class UnknownFieldError(ParamsError, TypeError):
@@ -82,8 +92,8 @@ def real(name: str, value: Any, unit: str = "1") -> Scalar:
 
 def _has_more_than_numbers(value: Any) -> bool:
     """Whether NumPy would drop a mask or a unit: of ndarray's subclasses, pint's, xarray's."""
-    if isinstance(value, np.ndarray):
-        return type(value) not in (np.ndarray, np.memmap)
+    if isinstance(value, np.ndarray | np.generic):
+        return isinstance(value, np.ndarray) and type(value) not in (np.ndarray, np.memmap)
     holders = type(value), type(getattr(value, "data", None))
     return any(hasattr(kind, word) for kind in holders for word in ("unit", "units"))
 
@@ -183,6 +193,8 @@ def count(name: str, value: Any) -> int:
         number = 0
     if number < 1:
         raise ParamsError(name, shown(value), wanted)
+    if number > MAX_COUNT:
+        raise ParamsError(name, shown(value), f"at most {MAX_COUNT:,}")
     return number
 
 

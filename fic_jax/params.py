@@ -18,6 +18,7 @@ from fic_jax.inputs import (
     float_type,
     on_host,
     real,
+    shown,
     strong,
 )
 
@@ -121,8 +122,8 @@ class Model:
     def __post_init__(self) -> None:
         for name, options in CHOICES.items():
             value = getattr(self, name)
-            if value not in options:
-                raise ParamsError(name, repr(value), "one of " + ", ".join(options))
+            if not isinstance(value, str) or value not in options:
+                raise ParamsError(name, shown(value), "one of " + ", ".join(options))
 
     def with_events(self) -> "Model":
         """The same choices with the integrator `rk4_events`."""

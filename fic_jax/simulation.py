@@ -21,7 +21,17 @@ from fic_jax.controller import (
 from fic_jax.environment import in_contact, interaction_torque
 from fic_jax.events import PIECES, Interval, advance_to_switch
 from fic_jax.exploration import expected_reference, explore
-from fic_jax.inputs import ParamsError, Scalar, count, expect, real, shown, strong, transferred
+from fic_jax.inputs import (
+    MAX_COUNT,
+    ParamsError,
+    Scalar,
+    count,
+    expect,
+    real,
+    shown,
+    strong,
+    transferred,
+)
 from fic_jax.lanes.hints import where_rare
 from fic_jax.params import (
     Model,
@@ -286,6 +296,8 @@ def canonical_state(state: State, dtype: Any) -> State:
 def canonical_memory(memory: Memory, dtype: Any) -> Memory:
     """A memory with the types that `init` gives it, for parameters of a float dtype."""
     expect("memory", memory, Memory, "init(params).memory")
+    if memory.slopes is not None:
+        expect("slopes", memory.slopes, Slopes, "None")
     x_h, e_M, e_last = (
         strong(real(name, getattr(memory, name)), dtype) for name in ("x_h", "e_M", "e_last")
     )
@@ -297,6 +309,8 @@ def _whole(name: str, value: Any) -> Scalar:
     number = real(name, value)
     if getattr(number, "dtype", np.dtype(float)).kind not in "iu":
         raise ParamsError(name, shown(value), "a whole number")
+    if not isinstance(number, jax.Array) and not np.all((number >= 0) & (number < MAX_COUNT)):
+        raise ParamsError(name, shown(value), f"from 0 to {MAX_COUNT - 1:,}")
     return strong(number, np.int32)
 
 

@@ -1,10 +1,12 @@
 """Wrong calls: one line that names the argument and what would be right; numbers of other types."""
 
+import pickle
 from dataclasses import replace
 from decimal import Decimal
 from fractions import Fraction
 
 import jax
+import ml_dtypes  # of jax
 import numpy as np
 import pandas as pd
 import pytest
@@ -243,3 +245,61 @@ def test_whole_numbers_of_any_library_are_taken(n_steps):
 def test_a_value_beyond_single_precision_is_refused():
     with pytest.raises(ParamsError, match="`K0` must be positive and finite, but is inf"):
         evaluate(Params(K0=1e300, Td=np.float32(5.0)), **RUN)
+
+
+METRICS, ERRORS = sweep(Params(K0=np.array([50.0, 60.0])), dt=0.01, n_steps=5, error_estimate=True)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        *(
+            (lambda t=t: trusted(METRICS, ERRORS, t), "`t_end` must be a number, positive and fin")
+            for t in (np.inf, -1.0, 0.0, np.nan, np.array([0.05, 0.06]))
+        ),
+        (
+            lambda: trusted(jax.tree.map(lambda leaf: leaf[:1], METRICS), ERRORS, 0.05),
+            "`errors` must be of the metrics' shape, (1,), but is of shape (2,).",
+        ),
+        (lambda: trusted(replace(METRICS, nmse="x"), ERRORS, 0.05), "`nmse` must be a real number"),
+        (lambda: Model(law=np.array("effort")), "`law` must be one of algorithm1, effort, energy"),
+        (lambda: rollout(P, dt=0.01, n_steps=2**40), "`n_steps` must be at most 2,147,483,647"),
+        (
+            lambda: step(P, replace(init(P), k=2**31), dt=0.01),
+            "`k` must be from 0 to 2,147,483,646",
+        ),
+        (
+            lambda: control(P, replace(init(P).memory, slopes=[0.0]), 0.0, 0.0, 0.0, dt=0.01),
+            "`slopes` must be of type Slopes, such as None, but is [0.0].",
+        ),
+    ],
+)
+def test_what_a_trial_found_to_be_accepted_or_raw(call, message):
+    with pytest.raises(ParamsError) as refused:
+        call()
+    assert message in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_trusted_passes_a_transfer_guard():
+    with jax.transfer_guard("disallow"):
+        assert trusted(METRICS, ERRORS, 0.05).finite.all()
+
+
+@pytest.mark.parametrize(
+    "call", [lambda: Params(k3=1.0), lambda: evaluate(Params(K0=-1.0), dt=0.01, n_steps=5)]
+)
+def test_an_error_can_be_pickled(call):
+    """A pool of processes sends it to the one that waits; it broke the pool."""
+    with pytest.raises(ParamsError) as refused:
+        call()
+    again = pickle.loads(pickle.dumps(refused.value))
+    assert type(again) is type(refused.value) and str(again) == str(refused.value)
+    assert (again.key, again.wanted) == (refused.value.key, refused.value.wanted)
+
+
+@pytest.mark.parametrize("kind", ["bfloat16", "float8_e5m2", "float8_e4m3fn", "int4"])
+def test_a_scalar_of_low_precision_is_a_number(kind):
+    value = np.dtype(getattr(ml_dtypes, kind)).type(4)
+    got = evaluate(Params(K0=value), dt=0.01, n_steps=5)
+    single = evaluate(Params(K0=np.float32(4.0)), dt=0.01, n_steps=5)
+    assert float(got.nmse) == pytest.approx(float(single.nmse), rel=1e-6)  # int4: in double
