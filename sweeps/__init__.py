@@ -6,6 +6,7 @@
 - `runner`: computes the blocks of a store; `provenance`: names the program and the machine
 - `devices`: starts JAX, or names the variable of the environment that keeps it from starting
 - `compile_cache`, `processor`: where compiled programs are kept, one folder for each processor
+- `disk`: which errors are the disk's and no mistake of the user
 - `export`: a store as CSV, Parquet or NetCDF
 - `paper`: the paper's scenarios and claims, and the report about them
 - `cli`: the command `fic-sweep`
