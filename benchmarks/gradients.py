@@ -20,8 +20,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from benchmarks.trust import DT, FINER, N_STEPS, scenarios
-from fic_jax import CHOICES, QUANTITIES, TRUST, Metrics, Model, Params, evaluate, sweep
+from benchmarks.trust import DT, FINER, N_STEPS, choices, scenarios
+from fic_jax import QUANTITIES, TRUST, Metrics, Model, Params, evaluate, sweep
 
 TINY, FINITE = 1e-7, 1e-3  # relative changes of the field
 SMALL = 1e-4  # a relative derivative that changes nothing
@@ -98,9 +98,7 @@ def main() -> None:
     parser.add_argument("--set", action="append", default=[], metavar="CHOICE=OPTION")
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    chosen = dict(text.split("=", 1) for text in arguments.set)
-    if unknown := chosen.keys() - CHOICES:
-        parser.error(f"--set: {', '.join(sorted(unknown))} is no choice of Model")
+    chosen = choices(parser, arguments.set)
     lines = [COLUMNS, "|---|" + 7 * "---:|"]
     for integrator in ("rk4", "rk4_events"):
         model = Model(**{"integrator": integrator} | chosen)  # type: ignore[arg-type]

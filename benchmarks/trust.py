@@ -103,6 +103,14 @@ def _apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.where(a == b, 0.0, np.abs(a - b))
 
 
+def choices(parser: argparse.ArgumentParser, texts: list[str]) -> dict[str, str]:
+    """Choices of Model from `--set CHOICE=OPTION`; ends the program for another name."""
+    chosen = dict(text.split("=", 1) for text in texts)
+    if unknown := chosen.keys() - CHOICES:
+        parser.error(f"--set: {', '.join(sorted(unknown))} is no choice of Model")
+    return chosen
+
+
 def main() -> None:
     """Measure and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
@@ -111,10 +119,7 @@ def main() -> None:
     parser.add_argument("--set", action="append", default=[], metavar="CHOICE=OPTION")
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    chosen = dict(text.split("=", 1) for text in arguments.set)
-    if unknown := chosen.keys() - CHOICES:
-        parser.error(f"--set: {', '.join(sorted(unknown))} is no choice of Model")
-    model = Model(**{"integrator": "rk4_events"} | chosen)  # type: ignore[arg-type]
+    model = Model(**{"integrator": "rk4_events"} | choices(parser, arguments.set))  # type: ignore[arg-type]
     dtype = np.float32 if arguments.precision == 32 else np.float64
     lines = [COLUMNS, "|---|" + 8 * "---:|", *rows(arguments.scenarios, model, dtype)]
     sys.stdout.write("\n".join(lines) + "\n")

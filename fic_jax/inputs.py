@@ -165,10 +165,10 @@ def _varying(leaf: Scalar) -> frozenset[str]:
 
 
 def transferred(compiled: Callable[..., Any], *args: Any, **static: Any) -> Any:
-    """The result of a compiled function of host or device numbers, which vary `alike`.
+    """Call a compiled function with host or device numbers; in `shard_map` they vary `alike`.
 
-    A user's `jax.transfer_guard` is about transfers that nobody asked for. That of the numbers
-    which the user, or a default, gave on the host is none of them.
+    A user's `jax.transfer_guard` forbids hidden transfers. The arguments are on the host because
+    the user put them there: their transfer to the device is allowed.
     """
     args = alike(args)
     with jax.transfer_guard_host_to_device("allow"):

@@ -1,4 +1,4 @@
-"""Time histories of named cells of a store: torque, position and reference, run anew."""
+"""Time histories of named cells of a store: torque and position, run anew."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -93,7 +93,7 @@ def _csv(data: xr.Dataset, path: Path) -> None:
     try:
         from pyarrow import Table
         from pyarrow.csv import CSVWriter, WriteOptions
-    except ImportError:  # ten times slower
+    except ImportError:  # six times slower
         for i, frame in enumerate(tables(data)):
             frame.to_csv(path, mode="w" if i == 0 else "a", header=i == 0, index=False)
         return

@@ -45,7 +45,7 @@ def _shown(data: xr.Dataset) -> xr.Dataset:
 
 
 def _short(name: str) -> str:
-    """A reading in lines that fit: the law, what differs from the default, when the search runs."""
+    """Name a reading in short lines: its law, its other choices, the time of the search."""
     choices, setting = name.split("; ", 1)
     usual = DEFAULT.split("; ", maxsplit=1)[0].split(", ")
     law, *rest = choices.split(", ")

@@ -213,12 +213,12 @@ def _say_where(wanted: Mapping[str, list[str]], cut: Mapping[str, str]) -> None:
         print(f"drawn at --at {middle}, because no --at names another value")
 
 
-def _same(asked: str, taken: str) -> bool:
-    """Whether a value is the one that was asked for."""
+def _same(given: str, taken: str) -> bool:
+    """Whether the value of a cell is the given one."""
     try:
-        return math.isclose(float(asked), float(taken), rel_tol=1e-9)
+        return math.isclose(float(given), float(taken), rel_tol=1e-9)
     except ValueError:
-        return asked == taken
+        return given == taken
 
 
 def _old_definition(data: "xr.Dataset") -> str:
