@@ -36,7 +36,9 @@ class Metrics:
 
     nmse: Scalar = _metric("1", "normalised mean square torque error, whole run")
     nmse_tail: Scalar = _metric("1", "normalised mean square torque error, second half")
-    convergence_time: Scalar = _metric("s", "time from which the torque stays within 5 %")
+    convergence_time: Scalar = _metric(
+        "s", "time from which the torque stays within 5 % of min(|Td|, Fmax)"
+    )
     steady_error: Scalar = _metric("1", "mean normalised torque error, second half")
     peak_torque: Scalar = _metric("N*m", "largest interaction torque")
     overshoot: Scalar = _metric("1", "largest torque over the reachable one, less 1")
