@@ -12,6 +12,7 @@ WRONG = [
     (["run", "paper-weldd"], "did you mean `paper-welded`?"),
     (["run", "none.toml"], "none.toml: there is no such file"),
     (["run", "tiny.toml", "--set", "K=3"], "--set K=3: unknown key `K`"),
+    (["run", "tiny.toml", "--set", "K0=1", "--set", "K0=2"], "--set K0=2: `K0` must be set once"),
     (
         ["run", "tiny.toml", "--set", "Td=0"],
         "tiny.toml with --set: `constants.Td` must be non-zero",

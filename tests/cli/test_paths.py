@@ -77,6 +77,18 @@ def test_every_command_works_inside_the_store(copied, monkeypatch):
         assert ended.stdout.startswith(f"{copied / 'tiny.zarr'}: ")
 
 
+def test_an_extension_says_how_to_enter_the_new_folder(copied, monkeypatch):
+    """It replaces the folder that somebody stands in; the advice is followed here."""
+    larger = (copied / "tiny.toml").read_text().replace("12.0]", "12.0, 15.0]")
+    (copied / "larger.toml").write_text(larger)
+    monkeypatch.chdir(copied / "tiny.zarr")
+    ended = typed("resume", ".", "--extend", "../larger.toml")
+    assert ended.code == 0
+    assert 'warning: the store has a new folder; `cd "$PWD"` enters it' in ended.stderr
+    monkeypatch.chdir(copied / "tiny.zarr")  # what `cd "$PWD"` does
+    assert "16 of 16 cells" in typed("status", ".").stdout
+
+
 def test_extend_keeps_a_link_to_the_store(copied):
     (copied / "disk").mkdir()
     (copied / "tiny.zarr").rename(copied / "disk" / "tiny.zarr")
