@@ -1,88 +1,32 @@
-"""LLVM IR of a graph: each scalar becomes a vector of lanes, a uniform one stays scalar.
+"""LLVM IR of a graph's nodes, loops and branches, for vectors of lanes or for single threads.
 
-This file writes the function, its loops and its branches; instructions.py writes single operations.
+vectors.py and threads.py write the function around them, instructions.py single operations.
 """
 
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-import numpy as np
 from llvmlite import ir
 
 from fic_jax.lanes.graph import Branch, Loop, Node, capture, live, ordered
 from fic_jax.lanes.instructions import Instructions
 
-INT32, INT64 = ir.IntType(32), ir.IntType(64)
+INT32 = ir.IntType(32)
 
 
-def llvm_ir(roots: Sequence[Node], dtype: np.dtype, lanes: int, mask_bits: int) -> str:
-    """The module with `run(columns, results, uniforms, stride, first, last)` for a graph.
-
-    columns[i * stride + j] is column i of lane j, results alike; integers and bools have the width
-    of the floats. Lanes first..last are computed, in whole vectors.
-    """
-    return _Writer(roots, dtype, lanes, mask_bits).function(roots)
-
-
-class _Writer:
+class Writer:
     """A builder, its instructions, and the values of the nodes computed so far."""
 
-    def __init__(self, roots: Sequence[Node], dtype: np.dtype, lanes: int, mask_bits: int) -> None:
-        self.build = ir.IRBuilder()
-        self.instructions = Instructions(self.build, dtype, lanes, mask_bits)
+    def __init__(self, instructions: Instructions, roots: Sequence[Node]) -> None:
+        self.build, self.instructions = instructions.build, instructions
         self.live = live(roots)
         capture(self.live)
         self.values: dict[Node, Any] = {}
         self.spread: dict[Node, Any] = {}  # uniform ones as vectors
 
-    def function(self, roots: Sequence[Node]) -> str:
-        """The text of the module: a loop over vectors of lanes."""
-        build, real = self.build, self.instructions.real
-        vector, aligned = self.instructions.vector(real), self.instructions.bits // 8
-        function = _declared(real)
-        columns, results, uniforms, stride, first, last = function.args
-        entry, body, exit_ = map(function.append_basic_block, ("entry", "vector", "exit"))
-        build.position_at_end(entry)
-        inputs = [node for node in self.live if node.op == "input"]
-        for node in inputs:
-            if node.uniform:
-                place = build.gep(uniforms, [INT64(node.value)])
-                self.define(node, self._as_kind(node, build.load(place)))
-        build.branch(body)
-        build.position_at_end(body)
-        at = build.phi(INT64)
-        at.add_incoming(first, entry)
-
-        def place_of(base: Any, i: int) -> Any:
-            offset = build.add(build.mul(stride, INT64(i)), at)
-            return build.bitcast(build.gep(base, [offset]), vector.as_pointer())
-
-        for node in inputs:
-            if not node.uniform:
-                loaded = build.load(place_of(columns, node.value), align=aligned)
-                self.define(node, self._as_kind(node, loaded))
-        self.compute(roots)
-        for i, root in enumerate(roots):
-            value = self.get(root, uniform=False)
-            if root.kind == "b":
-                value = self.instructions.widened(value, self.instructions.alike("i", value.type))
-            build.store(build.bitcast(value, vector), place_of(results, i), align=aligned)
-        following = build.add(at, INT64(self.instructions.lanes))
-        at.add_incoming(following, build.block)
-        build.cbranch(build.icmp_signed("<", following, last), body, exit_)
-        build.position_at_end(exit_)
-        build.ret_void()
-        return str(build.module)
-
-    def _as_kind(self, node: Node, loaded: Any) -> Any:
-        """A loaded number as a value of the node's kind."""
-        if node.kind == "f":
-            return loaded
-        whole = self.build.bitcast(loaded, self.instructions.alike("i", loaded.type))
-        if node.kind == "i":
-            return whole
-        zero = self.instructions.constant(whole.type, 0)
-        return self.instructions.compared("!=", "i", whole, zero)
+    def inputs(self, *, uniform: bool) -> list[Node]:
+        """The inputs that are in use: those that are the same for all lanes, or the others."""
+        return [node for node in self.live if node.op == "input" and node.uniform == uniform]
 
     def compute(self, roots: Iterable[Node]) -> None:
         """Write the instructions of all nodes that the roots need and that have no value yet."""
@@ -163,14 +107,3 @@ class _Writer:
         if isinstance(value, ir.Constant):
             return self.instructions.constant(self.instructions.vector(value.type), value.constant)
         return self.spread[node]
-
-
-def _declared(real: Any) -> ir.Function:
-    """The function without its body, in a module of its own."""
-    pointer = real.as_pointer()
-    types = [pointer, pointer, pointer, INT64, INT64, INT64]
-    function = ir.Function(ir.Module("lanes"), ir.FunctionType(ir.VoidType(), types), "run")
-    # otherwise spilled vectors lie across two cache lines, in some processes
-    function.attributes.alignstack = 64
-    function.attributes.add("nounwind")  # llvmlite drops an alignment that stands alone
-    return function

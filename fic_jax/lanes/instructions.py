@@ -1,4 +1,4 @@
-"""LLVM instructions for one operation, on a scalar or on a vector of lanes.
+"""LLVM instructions for one operation, on a scalar or on a vector of lanes (in a thread: of one).
 
 A bool is a mask. With mask registers (AVX-512) it is one bit, LLVM's own type. Without them it is
 an integer of the floats' width, all ones or zero: bits would be packed and unpacked at each jump.
@@ -37,8 +37,8 @@ class Instructions:
         self.int, self.bool = ir.IntType(self.bits), ir.IntType(mask_bits)
 
     def vector(self, of: Any) -> Any:
-        """The type of a vector."""
-        return ir.VectorType(of, self.lanes)
+        """The type of a vector; of a thread's single lane, a scalar."""
+        return ir.VectorType(of, self.lanes) if self.lanes > 1 else of
 
     def alike(self, kind: str, like: Any) -> Any:
         """The type of numbers of a kind, as many as `like` has."""
@@ -52,6 +52,8 @@ class Instructions:
 
     def spread(self, value: Any) -> Any:
         """A vector of one scalar."""
+        if self.lanes == 1:
+            return value
         undefined = ir.Constant(self.vector(value.type), ir.Undefined)
         first = self.build.insert_element(undefined, value, ir.IntType(32)(0))
         zeros = self.constant(self.vector(ir.IntType(32)), 0)

@@ -10,9 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 if TYPE_CHECKING:
+    from fic_jax.lanes.gpu import ThreadKernel
     from fic_jax.lanes.kernel import Kernel
-
-PART = 4096  # lanes that a thread takes at a time: some hundredths of a second at 1,000 iterations
 
 
 def cores() -> int:
@@ -28,39 +27,35 @@ class LaneMap:
         self,
         function: Callable[..., Any],
         threads: int | None,
+        gpus: Sequence[int],
         key: str | None,
         result: Any,
         likeness: Callable[..., np.ndarray] | None,
     ) -> None:
         self._function, self._key, self._result = function, key, result
-        self._likeness = likeness
+        self._likeness, self._gpus = likeness, tuple(gpus)
         self._threads = threads or cores()
-        self._compiled: dict[Any, tuple[Kernel, Any]] = {}
+        self._compiled: dict[Any, tuple[Kernel | ThreadKernel, Any]] = {}
 
     def __call__(self, *args: Any) -> Any:
         """Results with leaves [N], for arguments with leaves [N] or scalar."""
         leaves, tree, dtype = _arguments(args)
         kernel, result = self._kernel(leaves, tree, dtype)
-        columns = [leaf for leaf in leaves if leaf.ndim]
-        uniforms = np.array([_as_bits(leaf, dtype) for leaf in leaves if not leaf.ndim], dtype)
-        n = len(columns[0]) if columns else 1
+        mapped = any(leaf.ndim for leaf in leaves)
+        n = next((len(leaf) for leaf in leaves if leaf.ndim), 1)
         out = jax.tree.map(lambda t: np.empty(n, t.dtype), result)
-        size = min(PART, _whole(-(-max(n, 1) // self._threads), kernel.lanes))
+        size = kernel.part(n, self._threads)
 
         def part(start: int) -> None:
             stop = min(start + size, n)
+            those = [leaf[start:stop] if leaf.ndim else leaf for leaf in leaves]
             order: Any = slice(None)
-            if self._likeness and columns:
-                part = [leaf[start:stop] if leaf.ndim else leaf for leaf in leaves]
-                order = self._likeness(*jax.tree.unflatten(tree, part))
-            arguments = np.empty((len(columns), _whole(stop - start, kernel.lanes)), dtype)
-            for row, column in zip(arguments, columns, strict=True):
-                row[: stop - start] = _as_bits(column[start:stop][order], dtype)
-                row[stop - start :] = row[stop - start - 1]
-            results = kernel(arguments, uniforms)[:, : stop - start]
-            for row, values in zip(results, jax.tree.leaves(out), strict=True):
-                whole = row if values.dtype.kind == "f" else row.view(f"i{dtype.itemsize}")
-                values[start:stop][order] = whole
+            if self._likeness and mapped:
+                order = self._likeness(*jax.tree.unflatten(tree, those))
+                those = [leaf[order] if leaf.ndim else leaf for leaf in those]
+            with kernel.computed(those, stop - start) as rows:
+                for row, values in zip(rows, jax.tree.leaves(out), strict=True):
+                    values[start:stop][order] = row
 
         pool = ThreadPoolExecutor(self._threads)
         try:
@@ -68,7 +63,7 @@ class LaneMap:
                 pass
         finally:
             pool.shutdown(cancel_futures=True)
-        return out if columns else jax.tree.map(lambda leaf: leaf[0], out)
+        return out if mapped else jax.tree.map(lambda leaf: leaf[0], out)
 
     def prepare(self, *args: Any) -> None:
         """Compile for arguments like these, and run nothing."""
@@ -76,13 +71,12 @@ class LaneMap:
 
     def _kernel(
         self, leaves: Sequence[np.ndarray], tree: Any, dtype: np.dtype
-    ) -> "tuple[Kernel, Any]":
+    ) -> "tuple[Kernel | ThreadKernel, Any]":
         """The kernel for arguments like these, and the types of its results."""
         types = [jax.ShapeDtypeStruct((), leaf.dtype) for leaf in leaves]
         uniform = [leaf.ndim == 0 for leaf in leaves]
         signature = (tree, dtype, *(t.dtype for t in types), *uniform)
         if signature not in self._compiled:
-            from fic_jax.lanes.kernel import Kernel  # llvmlite may be missing, and takes a while
 
             def flat(*leaves: Any) -> Any:
                 return self._function(*jax.tree.unflatten(tree, leaves))
@@ -91,21 +85,39 @@ class LaneMap:
             if result is None:
                 result = jax.eval_shape(flat, *types)
             key = self._key and f"{self._key} {tree}"
-            n_results = len(jax.tree.leaves(result))
-            kernel = Kernel(flat, types, uniform, n_results, dtype, key)
+            kernel = self._compile(flat, types, uniform, jax.tree.leaves(result), dtype, key)
             self._compiled[signature] = kernel, result
         return self._compiled[signature]
+
+    def _compile(
+        self,
+        function: Callable[..., Any],
+        types: Sequence[Any],
+        uniform: Sequence[bool],
+        results: Sequence[Any],
+        dtype: np.dtype,
+        key: str | None,
+    ) -> "Kernel | ThreadKernel":
+        # late: llvmlite or cuda.core may be missing, and they take a while
+        if self._gpus:
+            from fic_jax.lanes.gpu import ThreadKernel
+
+            return ThreadKernel(function, types, results, dtype, key, self._gpus)
+        from fic_jax.lanes.kernel import Kernel
+
+        return Kernel(function, types, uniform, results, dtype, key)
 
 
 def lane_map(
     function: Callable[..., Any],
     *,
     threads: int | None = None,
+    gpus: Sequence[int] = (),
     key: str | None = None,
     result: Any = None,
     likeness: Callable[..., np.ndarray] | None = None,
 ) -> LaneMap:
-    """`jax.jit(jax.vmap(function))` on this CPU's vector registers and cores.
+    """`jax.jit(jax.vmap(function))` on this CPU's vector registers and cores, or on NVIDIA GPUs.
 
     For functions of scalars that spend their time in a loop:
 
@@ -121,6 +133,8 @@ def lane_map(
     NumPy arrays [N]. All floats have one type, float32 or float64 (that of the arguments, as JAX
     sees it); integers fit into 32 bits. A lane's result depends on its own arguments alone, bit for
     bit: not on N, on the neighbours, on `threads` (default: all cores) or on the registers' width.
+    `gpus` are the CUDA ordinals of the GPUs that compute, instead of the CPU; their bits are those
+    of a CPU with fused multiply-adds.
 
     `key` names the function for the compile cache (`jax_compilation_cache_dir`): functions, and
     versions of one function, need different keys. Cached code is neither traced nor compiled.
@@ -131,7 +145,7 @@ def lane_map(
     Raises Untranslatable if the function uses more than elementwise arithmetic, `exp`, `where` and
     loops of fixed length; ImportError without llvmlite; ValueError for arguments of other shapes.
     """
-    return LaneMap(function, threads, key, result, likeness)
+    return LaneMap(function, threads, gpus, key, result, likeness)
 
 
 def _arguments(args: Any) -> tuple[list[np.ndarray], Any, np.dtype]:
@@ -148,15 +162,3 @@ def _arguments(args: Any) -> tuple[list[np.ndarray], Any, np.dtype]:
     if len(shapes) > 1 or any(len(shape) > 1 for shape in shapes):
         raise ValueError(f"`lane_map` takes scalars and [N] arrays of one length, not {shapes}.")
     return arrays, tree, dtype
-
-
-def _whole(n: int, lanes: int) -> int:
-    """n, rounded up to a whole number of vectors."""
-    return -(-n // lanes) * lanes
-
-
-def _as_bits(values: np.ndarray, dtype: np.dtype) -> np.ndarray:
-    """Floats as they are; integers and bools as bits of integers in the floats' width."""
-    if values.dtype.kind == "f":
-        return values
-    return values.astype(f"i{dtype.itemsize}").view(dtype)

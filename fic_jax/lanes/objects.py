@@ -1,17 +1,8 @@
-"""From LLVM IR to machine code in this process, with a cache beside JAX's compiled programs."""
+"""From LLVM IR to machine code in this process."""
 
-import contextlib
 import ctypes
-import hashlib
-import os
-from collections.abc import Callable
-from pathlib import Path
 
-import jax
-import llvmlite
 import llvmlite.binding as llvm
-
-from fic_jax.lanes.sources import digest
 
 
 def this_processor() -> llvm.TargetMachine:
@@ -67,33 +58,6 @@ def compiled(machine: llvm.TargetMachine, text: str) -> bytes:
     return bytes(machine.emit_object(module))
 
 
-def cached(key: str | None, machine: llvm.TargetMachine, emit: Callable[[], str]) -> bytes:
-    """The object file of the IR that `emit` returns, from the compile cache if it has it.
-
-    `key` identifies this IR among all that the package emits. Without a key or without a cache
-    (`jax_compilation_cache_dir`) it reads and writes no file.
-    """
-    folder = jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
-    sources = digest(Path(__file__).parent)
-    if not (key and folder and sources):
-        return compiled(machine, emit())
-    versions = f"jax {jax.__version__} llvmlite {llvmlite.__version__} {llvm.llvm_version_info}"
-    processor = f"{machine.triple} {llvm.get_host_cpu_name()} {features()}"
-    name = hashlib.sha256(f"{key}\n{sources}\n{versions}\n{processor}".encode()).hexdigest()
-    path = Path(folder) / f"lanes-{name[:32]}.o"
-    try:
-        content = path.read_bytes()
-        checksum, code = content[:32], content[32:]
-        if hashlib.sha256(code).digest() == checksum:
-            return code
-    except OSError:
-        pass
-    code = compiled(machine, emit())
-    partial = path.with_suffix(f".{os.getpid()}")
-    try:
-        partial.write_bytes(hashlib.sha256(code).digest() + code)
-        partial.replace(path)
-    except OSError:  # no space, or no permission: the code runs all the same
-        with contextlib.suppress(OSError):
-            partial.unlink()
-    return code
+def name(machine: llvm.TargetMachine) -> str:
+    """The processor and instruction sets that object files for this machine need."""
+    return f"{machine.triple} {llvm.get_host_cpu_name()} {features()}"

@@ -6,10 +6,10 @@ import numpy as np
 from fic_jax.lanes import lane_map
 from fic_jax.lanes.branches import branch_out
 from fic_jax.lanes.commoning import common
-from fic_jax.lanes.emit import llvm_ir
 from fic_jax.lanes.fma import contract
 from fic_jax.lanes.graph import Loop, live
 from fic_jax.lanes.trace import traced
+from fic_jax.lanes.vectors import vector_ir
 
 DTYPES = [np.dtype(np.float32), np.dtype(np.float64)]
 ODD = [0.0, -0.0, 1.0, -1.0, 0.5, -2.5, 3.0, 7.25, 1e-30, -1e-30, 1e30, np.inf, -np.inf, np.nan]
@@ -37,7 +37,7 @@ def compiled_graph(function, n_columns, dtype=DTYPES[1]):
 
 def text(function, n_columns, lanes, mask_bits, dtype=DTYPES[1]):
     """The LLVM IR of a function of columns."""
-    return llvm_ir(compiled_graph(function, n_columns, dtype), dtype, lanes, mask_bits)
+    return vector_ir(compiled_graph(function, n_columns, dtype), dtype, lanes, mask_bits)
 
 
 def loop_of(nodes):

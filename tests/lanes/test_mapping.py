@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fic_jax.lanes import lane_map, mapping
+from fic_jax.lanes import lane_map
 from tests.lanes.compiling import assert_same
 
 
@@ -61,7 +61,7 @@ def test_a_scalar_argument_gives_the_bits_of_a_constant_column():
 @pytest.mark.parametrize("registers", [1, 4])
 def test_threads_parts_and_registers_change_no_bit(threads, part, registers, monkeypatch):
     expected = lane_map(oscillator)(K, 0.1)
-    monkeypatch.setattr(mapping, "PART", part)
+    monkeypatch.setattr("fic_jax.lanes.kernel.PART", part)
     monkeypatch.setattr("fic_jax.lanes.kernel.REGISTERS", registers)
     assert_same(lane_map(oscillator, threads=threads)(K, 0.1), expected)
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fic_jax.lanes import lane_map, mapping, where_rare
+from fic_jax.lanes import lane_map, where_rare
 from tests.lanes.compiling import assert_same, computed
 
 N = 203
@@ -194,7 +194,7 @@ def test_a_lane_that_becomes_nan_ends_its_loop():
 @pytest.mark.parametrize("part", [8, 4096])
 @pytest.mark.parametrize("order", ["sorted", "reversed", "shuffled"])
 def test_likeness_changes_no_bit(order, part, monkeypatch):
-    monkeypatch.setattr(mapping, "PART", part)
+    monkeypatch.setattr("fic_jax.lanes.kernel.PART", part)
     calls = []
 
     def likeness(x, y):
