@@ -11,28 +11,39 @@ from typing import Any, Literal, get_args, overload
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.interpreters.partial_eval import DynamicJaxprTracer
 
 from fic_jax.accuracy import difference, estimated
 from fic_jax.engine.tuning import threads
 from fic_jax.engine.xla import in_blocks
 from fic_jax.inputs import ParamsError, count, expect, on_host, shown
 from fic_jax.lanes import Untranslatable, lane_map
+from fic_jax.lanes.mapping import LaneMap
 from fic_jax.lanes.sources import digest
 from fic_jax.metrics import Metrics, Run, blank, run_by_intervals, run_by_steps
 from fic_jax.params import QUANTITIES, Model, Params, check, check_model, check_step, of_one_type
 
-Backend = Literal["auto", "lanes", "xla", "pallas"]
+Backend = Literal["auto", "lanes", "ptx", "xla", "pallas"]
 # Steps of rk4 in one iteration of XLA's time loop: two are 1.2 times faster than one, more only
 # take longer to compile.
 UNROLL = 2
 
-# What a user loses where "auto" cannot use the fast backend.
-SLOWER = {
-    "lanes": "the lane compiler is not available {where}: XLA compiles the sweep instead, expect "
-    "half the speed; `pip install llvmlite` if it is missing",
-    "pallas": "no GPU kernel {where}: XLA launches several kernels for each plant step instead, "
-    "expect a small part of the speed",
+# The backends of a kind of device, the fastest first: `auto` uses the first one that works.
+FASTEST: dict[str, tuple[Backend, ...]] = {"cpu": ("lanes", "xla"), "gpu": ("ptx", "pallas", "xla")}
+SLOWER = {  # what a user loses with another one than the first
+    ("cpu", "xla"): "XLA compiles the sweep instead, expect half the speed; `pip install llvmlite` "
+    "if it is missing",
+    (
+        "gpu",
+        "pallas",
+    ): "Pallas compiles the sweep instead; `pip install 'fic-jax[gpu]'` if cuda.core "
+    "or llvmlite is missing",
+    ("gpu", "xla"): "XLA launches several kernels for each plant step instead, expect a hundredth "
+    "of the speed; `pip install 'fic-jax[gpu]'` if cuda.core or llvmlite is missing",
 }
+STREAMS = 8  # of each GPU: parts that are copied or computed at the same time
+
+NEEDS = {"lanes": ("llvmlite",), "ptx": ("llvmlite", "cuda.core")}
 
 # [N] quantities in the order of QUANTITIES, dt -> results with leaves [N]
 Program = Callable[[Sequence[np.ndarray], np.ndarray], Any]
@@ -77,11 +88,17 @@ def sweep(
     `error_estimate` it returns two: the metrics and their estimated errors (`evaluate_with_error`),
     at several times the cost. JAX's promotion of the leaves gives the dtype.
 
+    Inside `jax.jit` the leaves and `dt` may be traced, with the backends `lanes` and `ptx`: the
+    batch can be computed on the device and the metrics reduced there. Traced values are not
+    checked.
+
     All cores of a CPU (or as many as `tune_for_throughput` was given) or all local GPUs share the
     work. The bits of a scenario do not depend on N, on its neighbours or on this sharing.
 
     backend: `auto`, the fastest on this device, or one of
         `lanes` this package's compiler for the vector registers of a CPU (needs llvmlite)
+        `ptx` this package's compiler for the threads of NVIDIA GPUs (needs llvmlite and cuda.core),
+            with the bits that a CPU with fused multiply-adds has
         `xla` XLA, on any device
         `pallas` one kernel on a GPU; elsewhere interpreted, slowly
 
@@ -92,13 +109,40 @@ def sweep(
         raise ParamsError("backend", shown(backend), "one of " + ", ".join(get_args(Backend)))
     if not isinstance(error_estimate, bool):
         raise ParamsError("error_estimate", shown(error_estimate), "True or False")
+    run = (model, n_steps, error_estimate)
+    if _traced_by_jit(batch, dt):
+        return _inside_jit(backend, batch, dt, *run)
     fields, h, n_steps = checked_fields(batch, model, dt, n_steps, instead="evaluate")
     with at_once() as traced:
-        devices = tuple(jax.local_devices())
-        if backend == "auto" and fastest(devices[0].platform) == "pallas" and traced:
-            backend = "xla"  # Pallas can't compile while JAX folds constants
-        program = _program(backend, model, n_steps, error_estimate, h.dtype, devices)
+        program = _program(backend, *run, h.dtype, tuple(jax.local_devices()), traced)
         return program(columns(fields), h)
+
+
+def _traced_by_jit(batch: Params, dt: Any) -> bool:
+    """Whether `jax.jit` traces the batch or the step, and no other transformation does."""
+    expect("batch", batch, Params, "Params(K0=[1.0, 10.0])")
+    traced = [x for x in (*vars(batch).values(), dt) if isinstance(x, jax.core.Tracer)]
+    return bool(traced) and all(isinstance(x, DynamicJaxprTracer) for x in traced)
+
+
+def _inside_jit(
+    backend: Backend, batch: Params, dt: Any, model: Model, n_steps: int, error_estimate: bool
+) -> Any:
+    """The metrics of a traced batch, as traced arrays. Raises ParamsError."""
+    check_model(model)
+    n_steps = count("n_steps", n_steps)
+    p = of_one_type("batch", batch)
+    h = jnp.asarray(dt, p.K0.dtype)
+    leaves = {name: jnp.asarray(leaf) for name, leaf in vars(p).items()}
+    n = length(leaves)
+    with at_once() as traced:
+        devices = tuple(jax.local_devices())
+        program = _program(backend, model, n_steps, error_estimate, h.dtype, devices, traced)
+    if not isinstance(program, LaneMap):
+        raise ParamsError("backend", backend, "lanes or ptx where the batch is traced")
+    return program.inside_jit(
+        [jnp.broadcast_to(leaf.reshape(-1), n) for leaf in leaves.values()], h
+    )
 
 
 @contextmanager
@@ -137,7 +181,7 @@ def columns(fields: Mapping[str, np.ndarray]) -> list[np.ndarray]:
     return [np.broadcast_to(values.reshape(-1), n) for values in fields.values()]
 
 
-def length(fields: Mapping[str, np.ndarray]) -> int:
+def length(fields: Mapping[str, Any]) -> int:
     """N of fields that are scalars or [N]. Raises ParamsError."""
     lengths = {values.shape for values in fields.values() if values.shape not in ((), (1,))}
     shape, *others = lengths or {(1,)}
@@ -148,11 +192,15 @@ def length(fields: Mapping[str, np.ndarray]) -> int:
 
 
 def arithmetic(backend: Backend = "auto") -> str:
-    """The backend and whether it fuses multiply-adds, e.g. "lanes fused": they decide last bits."""
+    """The compiler and whether it fuses multiply-adds, e.g. "lanes fused": they decide last bits.
+
+    It is the same for `ptx` and for `lanes` on a CPU that has fused multiply-adds.
+    """
     if backend == "auto":
-        backend = fastest(jax.local_devices()[0].platform)
-        if backend == "lanes" and importlib.util.find_spec("llvmlite") is None:
-            backend = "xla"
+        ways = FASTEST.get(jax.local_devices()[0].platform, ("xla",))
+        backend = next(way for way in ways if all(map(_installed, NEEDS.get(way, ()))))
+    if backend == "ptx":
+        return "lanes fused"
     if backend == "lanes":
         from fic_jax.lanes.objects import fused
 
@@ -163,9 +211,11 @@ def arithmetic(backend: Backend = "auto") -> str:
     return f"{backend} {'fused' if rest != 0 else 'unfused'}"
 
 
-def fastest(platform: str) -> Backend:
-    """The backend for a kind of device."""
-    return {"cpu": "lanes", "gpu": "pallas"}.get(platform, "xla")  # type: ignore[return-value]
+def _installed(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ModuleNotFoundError:  # the package around it
+        return False
 
 
 @lru_cache
@@ -176,29 +226,36 @@ def _program(
     error_estimate: bool,
     dtype: np.dtype,
     devices: tuple[jax.Device, ...],
+    traced: bool,
 ) -> Program:
-    """One program for these devices. If `auto` cannot use the fastest backend, it warns: XLA's."""
-    chosen = fastest(devices[0].platform) if backend == "auto" else backend
+    """One program for these devices. If `auto` can't use the fastest backend, it warns."""
+    platform = devices[0].platform
+    ways = FASTEST.get(platform, ("xla",)) if backend == "auto" else (backend,)
     result = result_types(model, error_estimate, dtype)
-    if chosen == "lanes":
+    tried = []
+    for way in ways:
+        if way == "pallas" and traced and backend == "auto":
+            continue  # Pallas can't compile while JAX folds constants
+        compiled = _by_lanes if way in ("lanes", "ptx") else _by_jax
         try:
-            return _by_lanes(model, n_steps, error_estimate, result, dtype, devices)
-        except (Untranslatable, ImportError) as error:
-            failure: Exception = error
-    else:
-        try:
-            return _by_jax(chosen, model, n_steps, error_estimate, result, dtype, devices)
-        except Exception as error:  # Pallas, Triton and the driver raise errors of any type
-            failure = error
-    if backend != "auto" or chosen == "xla":
-        raise failure
-    first_line = f"{type(failure).__name__}: {failure}".splitlines()[0][:200]
-    where = f"with jax {jax.__version__} on {devices[0].device_kind} ({first_line})"
-    warnings.warn(SLOWER[chosen].format(where=where), RuntimeWarning, stacklevel=3)
-    return _by_jax("xla", model, n_steps, error_estimate, result, dtype, devices)
+            program = compiled(way, model, n_steps, error_estimate, result, dtype, devices)
+        # the driver, LLVM, Pallas and Triton raise errors of any type
+        except Exception as error:
+            expected = way != "lanes" or isinstance(error, Untranslatable | ImportError)
+            if way == ways[-1] or not expected:
+                raise
+            tried.append(f"{way} ({' '.join(f'{type(error).__name__}: {error}'.split())[:200]})")
+            continue
+        if tried:
+            where = f"with jax {jax.__version__} on {devices[0].device_kind}"
+            what = f"{' and '.join(tried)} {where} failed: {SLOWER[platform, way]}"
+            warnings.warn(what, RuntimeWarning, stacklevel=3)
+        return program
+    raise AssertionError
 
 
 def _by_lanes(
+    backend: str,
     model: Model,
     n_steps: int,
     error_estimate: bool,
@@ -206,19 +263,34 @@ def _by_lanes(
     dtype: np.dtype,
     devices: Sequence[jax.Device],
 ) -> Program:
-    """The lane compiler's program, compiled."""
+    """The lane compiler's program for a CPU or for GPUs, compiled."""
     sources = digest(Path(__file__).parent.parent)
     key = sources and f"{sources} {model} {n_steps} {error_estimate}"
+    gpus = cuda_ordinals(devices) if backend == "ptx" else ()
     mapped = lane_map(
         scenario(model, n_steps, error_estimate),
-        threads=threads(devices),
+        threads=len(gpus) * STREAMS or threads(devices),
+        gpus=gpus,
         key=key,
         result=result,
-        likeness=likeness,
+        likeness=None if gpus else likeness,
     )
     one = np.zeros(1, dtype)
     mapped.prepare([one] * len(QUANTITIES), one[0])
     return mapped
+
+
+def cuda_ordinals(devices: Sequence[jax.Device]) -> list[int]:
+    """The GPUs among JAX's devices; those that the driver has, if JAX uses none.
+
+    Raises an error of cuda.core where there is no driver.
+    """
+    if gpus := [d.local_hardware_id for d in devices if d.platform == "gpu"]:
+        return gpus
+    from cuda.core import Device
+
+    Device(0)  # raises
+    return [device.device_id for device in Device.get_all_devices()]
 
 
 def likeness(quantities: Sequence[np.ndarray], _: np.ndarray) -> np.ndarray:

@@ -74,9 +74,25 @@ class ThreadKernel:
         """
         from cuda.core import LaunchConfig, launch
 
+        if n == 0:
+            return
         config = LaunchConfig(grid=-(-n // THREADS), block=THREADS)
         strides = [np.int32(one) for one in varying]
         launch(stream, config, self._kernel, *columns, *results, *strides, np.int64(n))
+
+    def launch_from(
+        self, stream: int, columns: Sequence[Any], varying: Sequence[bool], results: Any, n: int
+    ) -> None:
+        """Compute n lanes on JAX's stream, from and to its buffers."""
+        from cuda.core import Stream
+
+        own = Stream.from_handle(stream)
+        own.device.set_current()
+        read, written = (
+            [one.__cuda_array_interface__["data"][0] for one in buffers]
+            for buffers in (columns, results)
+        )
+        self.launch(own, read, varying, written, n)
 
     @contextmanager
     def computed(self, leaves: Sequence[np.ndarray], n: int) -> Iterator[list[np.ndarray]]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.experimental.buffer_callback import buffer_callback
 
 if TYPE_CHECKING:
     from fic_jax.lanes.gpu import ThreadKernel
@@ -41,9 +42,41 @@ class LaneMap:
         """Results with leaves [N], for arguments with leaves [N] or scalar."""
         leaves, tree, dtype = _arguments(args)
         kernel, result = self._kernel(leaves, tree, dtype)
-        mapped = any(leaf.ndim for leaf in leaves)
-        n = next((len(leaf) for leaf in leaves if leaf.ndim), 1)
-        out = jax.tree.map(lambda t: np.empty(n, t.dtype), result)
+        n = _length(leaves)
+        out = jax.tree.map(lambda t: np.empty(1 if n is None else n, t.dtype), result)
+        self._compute(kernel, leaves, tree, jax.tree.leaves(out))
+        return out if n is not None else jax.tree.map(lambda leaf: leaf[0], out)
+
+    def inside_jit(self, *args: Any) -> Any:
+        """The same for JAX arrays in a function that `jax.jit` traces; they stay on the device."""
+        leaves, tree = jax.tree.flatten(args)
+        leaves, dtype = [jnp.asarray(leaf) for leaf in leaves], _float_type(leaves)
+        kernel, result = self._kernel(leaves, tree, dtype)
+        n = _length(leaves)
+        varying = [leaf.ndim > 0 for leaf in leaves]
+
+        def call(context: Any, results: Any, *columns: Any) -> None:
+            if self._gpus:
+                n_lanes = 1 if n is None else n
+                kernel.launch_from(context.stream, columns, varying, results, n_lanes)  # type: ignore[union-attr]
+            else:
+                outs = [np.asarray(one).reshape(-1) for one in results]
+                self._compute(kernel, [np.asarray(one) for one in columns], tree, outs)
+
+        shape = () if n is None else (n,)
+        types = [jax.ShapeDtypeStruct(shape, leaf.dtype) for leaf in jax.tree.leaves(result)]
+        outs = buffer_callback(call, types)(*leaves)
+        return jax.tree.unflatten(jax.tree.structure(result), outs)
+
+    def _compute(
+        self,
+        kernel: "Kernel | ThreadKernel",
+        leaves: Sequence[np.ndarray],
+        tree: Any,
+        outs: Sequence[np.ndarray],
+    ) -> None:
+        """Write the results into `outs`, [N] each, part by part in several threads."""
+        mapped, n = any(leaf.ndim for leaf in leaves), len(outs[0])
         size = kernel.part(n, self._threads)
 
         def part(start: int) -> None:
@@ -54,7 +87,7 @@ class LaneMap:
                 order = self._likeness(*jax.tree.unflatten(tree, those))
                 those = [leaf[order] if leaf.ndim else leaf for leaf in those]
             with kernel.computed(those, stop - start) as rows:
-                for row, values in zip(rows, jax.tree.leaves(out), strict=True):
+                for row, values in zip(rows, outs, strict=True):
                     values[start:stop][order] = row
 
         pool = ThreadPoolExecutor(self._threads)
@@ -63,7 +96,6 @@ class LaneMap:
                 pass
         finally:
             pool.shutdown(cancel_futures=True)
-        return out if mapped else jax.tree.map(lambda leaf: leaf[0], out)
 
     def prepare(self, *args: Any) -> None:
         """Compile for arguments like these, and run nothing."""
@@ -74,7 +106,7 @@ class LaneMap:
     ) -> "tuple[Kernel | ThreadKernel, Any]":
         """The kernel for arguments like these, and the types of its results."""
         types = [jax.ShapeDtypeStruct((), leaf.dtype) for leaf in leaves]
-        uniform = [leaf.ndim == 0 for leaf in leaves]
+        uniform = [leaf.ndim == 0 and not self._gpus for leaf in leaves]
         signature = (tree, dtype, *(t.dtype for t in types), *uniform)
         if signature not in self._compiled:
 
@@ -151,14 +183,25 @@ def lane_map(
 def _arguments(args: Any) -> tuple[list[np.ndarray], Any, np.dtype]:
     """Leaves as arrays with JAX's types, their structure, and the type of the floats."""
     leaves, tree = jax.tree.flatten(args)
+    dtype = _float_type(leaves)
     kinds = [jnp.result_type(leaf) for leaf in leaves]
-    floats = [leaf for leaf, kind in zip(leaves, kinds, strict=True) if kind.kind == "f"]
-    dtype = np.dtype(jnp.result_type(*floats)) if floats else np.dtype(jnp.result_type(float))
     arrays = [
         np.asarray(leaf, dtype if kind.kind == "f" else kind)
         for leaf, kind in zip(leaves, kinds, strict=True)
     ]
-    shapes = {a.shape for a in arrays if a.ndim}
+    return arrays, tree, dtype
+
+
+def _float_type(leaves: Sequence[Any]) -> np.dtype:
+    """The type of the floats among the arguments, or JAX's."""
+    kinds = [jnp.result_type(leaf) for leaf in leaves]
+    floats = [leaf for leaf, kind in zip(leaves, kinds, strict=True) if kind.kind == "f"]
+    return np.dtype(jnp.result_type(*floats) if floats else jnp.result_type(float))
+
+
+def _length(leaves: Sequence[Any]) -> int | None:
+    """N of leaves that are scalars or [N]; None if all are scalars. Raises ValueError."""
+    shapes = {leaf.shape for leaf in leaves if leaf.ndim}
     if len(shapes) > 1 or any(len(shape) > 1 for shape in shapes):
         raise ValueError(f"`lane_map` takes scalars and [N] arrays of one length, not {shapes}.")
-    return arrays, tree, dtype
+    return shapes.pop()[0] if shapes else None
