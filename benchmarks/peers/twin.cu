@@ -1,0 +1,239 @@
+// The default model by hand for an NVIDIA GPU: twin.cpp with one scenario in each thread.
+//
+// The whole run is one launch; state lives in registers. What differs from twin.cpp:
+//  - a thread turns to converge or to diverge in a branch of its own, so that the slopes and limits
+//    of the torque are carried from step to step and no step selects them;
+//  - the exponential, the slopes, the tick of Algorithm 2 and the settling instant are branches,
+//    which a warp skips if none of its 32 threads needs them;
+//  - columns may be scalars: a scenario reads columns[start + stride i] of each field.
+// It includes no header, so NVRTC compiles it as it is.
+
+namespace {
+
+typedef long long Index;
+
+template <class T> struct Real;
+template <> struct Real<float> {
+  static constexpr float epsilon = 1.1920929e-07f;
+  static constexpr float infinity = __builtin_huge_valf();
+};
+template <> struct Real<double> {
+  static constexpr double epsilon = 2.220446049250313e-16;
+  static constexpr double infinity = __builtin_huge_val();
+};
+
+// One instruction for float; for double a comparison and a selection, which fmin would follow by a
+// search for NaN. A NaN in b passes in double only: then position or velocity is NaN as well, which
+// is how `finite` sees it.
+__device__ __forceinline__ float lesser(float a, float b) { return fminf(a, b); }
+__device__ __forceinline__ float greater(float a, float b) { return fmaxf(a, b); }
+__device__ __forceinline__ double lesser(double a, double b) { return a < b ? a : b; }
+__device__ __forceinline__ double greater(double a, double b) { return a > b ? a : b; }
+
+// 2^a: exp2f without its steps for denormal results, with the same 2 ulp (expf has 1 to 2).
+__device__ __forceinline__ float power_of_2(float a) {
+#ifdef __CUDA_ARCH__
+  float power;
+  asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(power) : "f"(a));
+  return power;
+#else
+  return exp2f(a);
+#endif
+}
+__device__ __forceinline__ double power_of_2(double a) { return exp2(a); }
+
+// ---- The law -------------------------------------------------------------------------------------
+
+template <class T> struct Plant {
+  T gap, Kenv, Denv;
+
+  __device__ __forceinline__ T interaction(T x, T v) const {
+    return x >= gap ? Kenv * (x - gap) + Denv * greater(T(0), v) : T(0);
+  }
+};
+
+template <class T> struct Spring {
+  T K0, Fmax, x0, xb, rate, dF;  // exp(-(y - x0)/b) = 2^(rate (y - x0))
+};
+
+template <class T> struct Held {  // what a step holds: torque (|e| > x0 ? far : near)(e - offset)
+  T near, far, offset;
+  T bent;  // rad, error below which the torque beyond x0 is the bend of eq. 1; 0 while converging
+
+  __device__ __forceinline__ void diverge(const Spring<T>& s) {
+    near = s.K0;
+    far = 2 * s.Fmax / s.x0;  // the limit makes it +-Fmax
+    offset = 0;
+    bent = s.xb;
+  }
+
+  // Both slopes of Algorithm 1 at the peak error e_M.
+  __device__ __forceinline__ void converge(const Spring<T>& s, T e_M) {
+    const T peak = fabs(e_M);
+    near = far = 2 * s.K0;
+    if (peak > s.x0) {
+      const T per_peak = 1 / peak, decay = power_of_2(s.rate * (lesser(s.xb, peak) - s.x0));
+      const T b = T(-1.4426950408889634) / s.rate;
+      const T energy = s.Fmax * (peak - s.x0) + s.K0 * s.x0 * s.x0 / 2 - b * s.dF * (1 - decay);
+      near = 4 * energy * per_peak * per_peak;
+      far = 2 * (peak < s.xb ? s.Fmax - s.dF * decay : s.Fmax) * per_peak;
+    }
+    offset = e_M / 2;
+    bent = 0;
+  }
+
+  __device__ __forceinline__ T torque(const Spring<T>& s, T e) const {
+    const T size = fabs(e);
+    T t = (size > s.x0 ? far : near) * (e - offset);
+    if (size > s.x0 && size < bent)
+      t = copysign(s.Fmax - s.dF * power_of_2(s.rate * (size - s.x0)), e);
+    return greater(-s.Fmax, lesser(s.Fmax, t));
+  }
+};
+
+template <class T> struct Sum {  // Kahan 1965
+  T total = 0, excess = 0;
+
+  __device__ __forceinline__ void add(T value) {
+    const T term = value - excess, sum = total + term;
+    excess = (sum - total) - term;
+    total = sum;
+  }
+};
+
+// ---- One scenario, from first to last step -------------------------------------------------------
+
+enum Field { K0, Fmax, x0, xb, S, Td, xd, sigma, period, I, Kenv, Denv, gap, x_init, v_init };
+
+template <class T>
+__device__ __forceinline__ void run(const T* __restrict__ columns, const Index* __restrict__ where,
+                                    Index n, Index i, T dt, int n_steps, T* __restrict__ reals,
+                                    int* __restrict__ mode_switches,
+                                    unsigned char* __restrict__ finite) {
+  const T band = T(0.05), inf = Real<T>::infinity;  // converged while |T/T_n - 1| <= band
+  auto load = [&](Field field) { return columns[where[2 * field] + where[2 * field + 1] * i]; };
+  const Plant<T> plant = {load(gap), load(Kenv), load(Denv)};
+  const T whole = dt / load(I), half = whole / 2, sixth = whole / 6;
+  Spring<T> s = {load(K0), load(Fmax), load(x0), load(xb), 0, 0};
+  s.rate = T(-1.4426950408889634) * load(S) / (s.xb - s.x0);
+  s.dF = s.Fmax - s.K0 * s.x0;
+  const T wanted = load(Td), search = load(sigma) / s.K0;
+  const T xd_size = fabs(load(xd)), expected = load(xd) + wanted / s.K0;
+  const T per_T_n = 1 / copysign(lesser(fabs(wanted), s.Fmax), wanted);
+  const int ticks_every = max(int(rint(load(period) / dt)), 1);
+  // A joint that moves by less in a plant step rests: its branch is the sign of rounding errors.
+  const T rest = 4 * Real<T>::epsilon *
+                 (fabs(expected) + fabs(load(gap)) + fabs(load(x_init)) + s.xb) *
+                 (dt / load(period));
+
+  T x = load(x_init), v = load(v_init), tau_env = plant.interaction(x, v), x_h = expected;
+  T e_last = x_h - x, highest = tau_env, square_head = 0;
+  T apart = tau_env * per_T_n - 1, settled = 0;
+  Held<T> held;
+  held.diverge(s);
+  bool diverging = true;
+  int branch = -1, switches = -1;  // the first branch differs from -1, which is none
+  int next_tick = 0;
+  const int touched_at_start = x >= plant.gap;
+  int before_touch = 0, touching_steps = touched_at_start;
+  Sum<T> square, error, work;
+
+  int k = 0;
+#pragma unroll 1
+  for (int part = 0; part < 2; ++part) {
+    if (part == 1) {
+      square_head = square.total;
+      square = error = {};
+    }
+    const int end = part ? n_steps : n_steps / 2;
+#pragma unroll 1
+    for (; k < end; ++k) {
+      // Algorithm 2
+      const T e1 = tau_env - wanted;
+      if (k == next_tick) {
+        next_tick += ticks_every;
+        x_h = fabs(x) <= xd_size && e1 != 0 ? expected : x_h - search * e1;
+      }
+      // Algorithm 1. The peak error is the last one before the joint turned.
+      const T e = x_h - x;
+      const bool before = diverging;
+      diverging = e * v <= 0;
+      if (diverging != before) {
+        if (diverging)
+          held.diverge(s);
+        else
+          held.converge(s, e_last);
+      }
+      e_last = e;
+      // RK4; x' = v, so that the stages of x need no sums of their own
+      const T t1 = held.torque(s, e), f1 = t1 - tau_env;
+      const T x2 = x + dt / 2 * v, v2 = v + half * f1, t2 = held.torque(s, x_h - x2);
+      const T T2 = plant.interaction(x2, v2), f2 = t2 - T2, e2 = T2 - wanted;
+      const T x3 = x2 + dt / 2 * half * f1, v3 = v + half * f2, t3 = held.torque(s, x_h - x3);
+      const T T3 = plant.interaction(x3, v3), f3 = t3 - T3, e3 = T3 - wanted;
+      const T x4 = x + dt * v + dt * half * f2, v4 = v + whole * f3, t4 = held.torque(s, x_h - x4);
+      const T T4 = plant.interaction(x4, v4), f4 = t4 - T4, e4 = T4 - wanted;
+      // The integrals are states of the same step; error and square are means over it.
+      work.add(dt / 6 * (t1 * v + t4 * v4 + 2 * (t2 * v2 + t3 * v3)));
+      error.add(T(1) / 6 * (e1 + e4 + 2 * (e2 + e3)));
+      square.add(T(1) / 6 * (e1 * e1 + e4 * e4 + 2 * (e2 * e2 + e3 * e3)));
+      const T way = dt * v + dt * sixth * (f1 + f2 + f3), x1 = x;
+      x += way;
+      v += sixth * (f1 + 2 * (f2 + f3) + f4);
+      // Metrics of the end of the step
+      tau_env = plant.interaction(x, v);
+      const T last = apart;
+      apart = tau_env * per_T_n - 1;
+      if (fabs(apart) <= band && !(fabs(last) <= band))  // enters, on a line between two samples
+        settled = k + (last - copysign(band, last)) / (last - apart);
+      highest = greater(tau_env, highest);
+      touching_steps += x >= plant.gap;
+      before_touch += touching_steps == 0;
+      if (fabs(x - x1) > rest && diverging != branch) {
+        branch = diverging;
+        ++switches;
+      }
+    }
+  }
+
+  const T per_square = per_T_n * per_T_n;
+  const T nmse = (square_head + square.total) / n_steps * per_square;
+  const int n_tail = n_steps - n_steps / 2;
+  const int touch = before_touch + 1 - touched_at_start;  // the end of its step
+  const int lost = n_steps - before_touch - touching_steps + touched_at_start;
+  const bool converged = fabs(apart) <= band && settled <= T(0.95) * n_steps;
+  const T values[] = {
+      nmse,
+      square.total / n_tail * per_square,
+      converged ? settled * dt : inf,
+      error.total / n_tail * per_T_n,
+      highest,
+      wanted > 0 ? greater(highest * per_T_n - 1, T(0)) : T(0),
+      touch <= n_steps ? touch * dt : inf,
+      touch <= n_steps && lost > 0 ? lost * dt : T(0),
+      work.total,
+  };
+  for (int m = 0; m < int(sizeof(values) / sizeof(T)); ++m) reals[m * n + i] = values[m];
+  mode_switches[i] = max(switches, 0);
+  finite[i] = isfinite(x) && isfinite(v) && isfinite(nmse) && isfinite(work.total);
+}
+
+}  // namespace
+
+#ifndef BLOCKS  // blocks of BLOCK threads that fit a multiprocessor: limits the registers
+#define BLOCK 256
+#define BLOCKS 1
+#endif
+
+// Scenarios first..last - 1 of n. columns has the values of all fields; field f of scenario i is at
+// where[2 f] + where[2 f + 1] i. reals is [metric][n].
+#define RUN(name, T)                                                                              \
+  extern "C" __global__ void __launch_bounds__(BLOCK, BLOCKS)                                     \
+      name(const T* columns, const long long* where, long long n, long long first,                \
+           long long last, T dt, int n_steps, T* reals, int* mode_switches,                       \
+           unsigned char* finite) {                                                               \
+    const Index i = first + Index(blockIdx.x) * blockDim.x + threadIdx.x;                         \
+    if (i < last) run(columns, where, n, i, dt, n_steps, reals, mode_switches, finite);           \
+  }
+RUN(twin_float, float)
+RUN(twin_double, double)
