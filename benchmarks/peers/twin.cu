@@ -42,6 +42,16 @@ __device__ __forceinline__ float power_of_2(float a) {
 }
 __device__ __forceinline__ double power_of_2(double a) { return exp2(a); }
 
+// a/b within 2 ulp; `/` would search for denormals in a subroutine.
+__device__ __forceinline__ float quotient(float a, float b) {
+#ifdef __CUDA_ARCH__
+  return __fdividef(a, b);
+#else
+  return a / b;
+#endif
+}
+__device__ __forceinline__ double quotient(double a, double b) { return a / b; }
+
 // ---- The law -------------------------------------------------------------------------------------
 
 template <class T> struct Plant {
@@ -60,6 +70,8 @@ template <class T> struct Held {  // what a step holds: torque (|e| > x0 ? far :
   T near, far, offset;
   T bent;  // rad, error below which the torque beyond x0 is the bend of eq. 1; 0 while converging
 
+  __device__ __forceinline__ bool diverging() const { return bent > 0; }
+
   __device__ __forceinline__ void diverge(const Spring<T>& s) {
     near = s.K0;
     far = 2 * s.Fmax / s.x0;  // the limit makes it +-Fmax
@@ -72,8 +84,8 @@ template <class T> struct Held {  // what a step holds: torque (|e| > x0 ? far :
     const T peak = fabs(e_M);
     near = far = 2 * s.K0;
     if (peak > s.x0) {
-      const T per_peak = 1 / peak, decay = power_of_2(s.rate * (lesser(s.xb, peak) - s.x0));
-      const T b = T(-1.4426950408889634) / s.rate;
+      const T per_peak = quotient(T(1), peak), decay = power_of_2(s.rate * (lesser(s.xb, peak) - s.x0));
+      const T b = quotient(T(-1.4426950408889634), s.rate);
       const T energy = s.Fmax * (peak - s.x0) + s.K0 * s.x0 * s.x0 / 2 - b * s.dF * (1 - decay);
       near = 4 * energy * per_peak * per_peak;
       far = 2 * (peak < s.xb ? s.Fmax - s.dF * decay : s.Fmax) * per_peak;
@@ -127,25 +139,19 @@ __device__ __forceinline__ void run(const T* __restrict__ columns, const Index* 
                  (dt / load(period));
 
   T x = load(x_init), v = load(v_init), tau_env = plant.interaction(x, v), x_h = expected;
-  T e_last = x_h - x, highest = tau_env, square_head = 0;
+  T e_last = x_h - x, highest = tau_env;
   T apart = tau_env * per_T_n - 1, settled = 0;
   Held<T> held;
   held.diverge(s);
-  bool diverging = true;
-  int branch = -1, switches = -1;  // the first branch differs from -1, which is none
+  T branch = -1;  // `bent` of the last step that moved the joint; -1 is none
+  int switches = -1;
   int next_tick = 0;
   const int touched_at_start = x >= plant.gap;
-  int before_touch = 0, touching_steps = touched_at_start;
+  int before_touch = touched_at_start ? 0 : n_steps, touching_steps = 0;
   Sum<T> square, error, work;
 
   int k = 0;
-#pragma unroll 1
-  for (int part = 0; part < 2; ++part) {
-    if (part == 1) {
-      square_head = square.total;
-      square = error = {};
-    }
-    const int end = part ? n_steps : n_steps / 2;
+  auto advance = [&](int end) {
 #pragma unroll 1
     for (; k < end; ++k) {
       // Algorithm 2
@@ -156,9 +162,8 @@ __device__ __forceinline__ void run(const T* __restrict__ columns, const Index* 
       }
       // Algorithm 1. The peak error is the last one before the joint turned.
       const T e = x_h - x;
-      const bool before = diverging;
-      diverging = e * v <= 0;
-      if (diverging != before) {
+      const bool diverging = e * v <= 0;
+      if (diverging != held.diverging()) {
         if (diverging)
           held.diverge(s);
         else
@@ -184,23 +189,35 @@ __device__ __forceinline__ void run(const T* __restrict__ columns, const Index* 
       tau_env = plant.interaction(x, v);
       const T last = apart;
       apart = tau_env * per_T_n - 1;
-      if (fabs(apart) <= band && !(fabs(last) <= band))  // enters, on a line between two samples
-        settled = k + (last - copysign(band, last)) / (last - apart);
       highest = greater(tau_env, highest);
-      touching_steps += x >= plant.gap;
-      before_touch += touching_steps == 0;
-      if (fabs(x - x1) > rest && diverging != branch) {
-        branch = diverging;
-        ++switches;
+      const bool touching = x >= plant.gap, enters = fabs(apart) <= band && !(fabs(last) <= band);
+      const bool touched = x1 >= plant.gap, switched = fabs(x - x1) > rest && branch != held.bent;
+      if (enters | switched | (touching != touched)) {  // one branch for all that is rare
+        if (enters)  // on a line between the two samples
+          settled = k + quotient(last - copysign(band, last), last - apart);
+        if (switched) {
+          branch = held.bent;
+          ++switches;
+        }
+        if (touching && !touched) {
+          before_touch = min(before_touch, k);
+          touching_steps -= k;
+        }
+        if (touched && !touching) touching_steps += k;
       }
     }
-  }
+  };
+  advance(n_steps / 2);
+  const T square_head = square.total;
+  square = error = {};
+  advance(n_steps);
 
   const T per_square = per_T_n * per_T_n;
   const T nmse = (square_head + square.total) / n_steps * per_square;
   const int n_tail = n_steps - n_steps / 2;
   const int touch = before_touch + 1 - touched_at_start;  // the end of its step
-  const int lost = n_steps - before_touch - touching_steps + touched_at_start;
+  if (x >= plant.gap) touching_steps += n_steps;
+  const int lost = n_steps - before_touch - touching_steps;
   const bool converged = fabs(apart) <= band && settled <= T(0.95) * n_steps;
   const T values[] = {
       nmse,
