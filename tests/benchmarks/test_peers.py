@@ -22,7 +22,13 @@ SPECIAL = (
     Params(K0=1000.0),
     Params(x_init=-0.3, v_init=1.0, S=200.0),
 )
-PEERS = ("cpp", "numba_twin", "diffrax_twin")
+PEERS = {
+    name.rpartition(".")[2]: name
+    for name in (
+        *(f"benchmarks.peers.{peer}" for peer in ("cpp", "cuda", "numba_twin", "diffrax_twin")),
+        "tests.benchmarks.cuda_on_cpu",
+    )
+}
 
 
 def _batch(dtype: type) -> Params:
@@ -54,7 +60,7 @@ def _difference(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
 @lru_cache
 def _got(peer: str, dtype: type) -> Metrics:
     try:
-        run = import_module(f"benchmarks.peers.{peer}").prepare(_batch(dtype), DT, STEPS)
+        run = import_module(PEERS[peer]).prepare(_batch(dtype), DT, STEPS)
     except Missing as reason:
         pytest.skip(str(reason))
     return run()
