@@ -3,7 +3,7 @@
 measure.py          takes the tables that a Plan (plan.py: sizes, rounds) asks for
 rates.py            plant steps per second of each implementation; cost against the scenarios
 implementations.py  the engine with its options, and the peers: all compute the same metrics
-peers/              a C++ twin, numba, diffrax, plain jit(vmap(scan))
+peers/              a C++ and a CUDA twin, numba, diffrax, plain jit(vmap(scan))
 whole_runs.py       `fic-sweep run` as whole processes: a long run, the first result
 fic_sweep.py        one such process: its seconds, its start, its compile time, its memory
 commit.py           what committing blocks to a store adds to a run

@@ -22,7 +22,13 @@ SPECIAL = (
     Params(K0=1000.0),
     Params(x_init=-0.3, v_init=1.0, S=200.0),
 )
-PEERS = ("cpp", "numba_twin", "diffrax_twin")
+PEERS = {
+    "cpp": "benchmarks.peers.cpp",
+    "cuda": "benchmarks.peers.cuda",
+    "cuda_on_cpu": "tests.benchmarks.cuda_on_cpu",
+    "numba_twin": "benchmarks.peers.numba_twin",
+    "diffrax_twin": "benchmarks.peers.diffrax_twin",
+}
 
 
 def _batch(dtype: type) -> Params:
@@ -53,8 +59,12 @@ def _difference(ours: np.ndarray, theirs: np.ndarray) -> np.ndarray:
 
 @lru_cache
 def _got(peer: str, dtype: type) -> Metrics:
+    return _run(peer, _batch(dtype))
+
+
+def _run(peer: str, batch: Params) -> Metrics:
     try:
-        run = import_module(f"benchmarks.peers.{peer}").prepare(_batch(dtype), DT, STEPS)
+        run = import_module(PEERS[peer]).prepare(batch, DT, STEPS)
     except Missing as reason:
         pytest.skip(str(reason))
     return run()
@@ -88,3 +98,12 @@ def test_the_special_scenarios_agree_one_by_one(peer: str) -> None:
     for name in METRICS:
         apart = _difference(getattr(expected, name)[:special], getattr(got, name)[:special])
         assert apart.max() <= 1e-9, (name, apart)
+
+
+@pytest.mark.parametrize("peer", ["cuda", "cuda_on_cpu"])
+def test_the_cuda_twin_takes_a_scalar_for_a_column(peer: str) -> None:
+    batch = jax.tree.map(np.float32, scenarios(N))
+    assert np.ndim(batch.Fmax) == 0
+    whole, got = _got(peer, np.float32), _run(peer, batch)
+    for name in METRICS:
+        assert np.array_equal(getattr(whole, name)[-N:], getattr(got, name)), name
