@@ -1,8 +1,7 @@
 """The compiler from end to end for a CPU: trace, passes in order, LLVM IR, machine code."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -75,21 +74,22 @@ class Kernel:
         """Lanes that one of so many threads computes at a time."""
         return min(PART, self._whole(-(-max(n, 1) // threads)))
 
-    @contextmanager
-    def computed(self, leaves: Sequence[np.ndarray], n: int) -> Iterator[list[np.ndarray]]:
-        """Results [n] for arguments [n] or scalar; lanes beyond n repeat the last one."""
+    def empty(self, n: int) -> list[np.ndarray]:
+        """Arrays for the results of n lanes."""
+        return [np.empty(n, of) for of in self.results]
+
+    def run(self, leaves: Sequence[np.ndarray], outs: Sequence[np.ndarray]) -> None:
+        """Write the results into `outs`, [n] each, for arguments [n] or scalar."""
+        n = len(outs[0])
         columns = [leaf for leaf in leaves if leaf.ndim]
         packed = np.empty((len(columns), self._whole(n)), self.dtype)
         for row, column in zip(packed, columns, strict=True):
             row[:n] = _as_bits(column, self.dtype)
-            row[n:] = row[n - 1]
+            row[n:] = row[n - 1]  # the last vector is whole
         uniforms = [_as_bits(leaf, self.dtype) for leaf in leaves if not leaf.ndim]
         rows = self(packed, np.array(uniforms, self.dtype))[:, :n]
-        whole = f"i{self.dtype.itemsize}"
-        yield [
-            row if of.kind == "f" else row.view(whole)
-            for row, of in zip(rows, self.results, strict=True)
-        ]
+        for row, out in zip(rows, outs, strict=True):
+            out[:] = row if out.dtype.kind == "f" else row.view(f"i{self.dtype.itemsize}")
 
     def __call__(self, columns: np.ndarray, uniforms: np.ndarray) -> np.ndarray:
         """Results [n_results, n] for columns [n_columns, n], n a multiple of `lanes`.

@@ -43,8 +43,9 @@ class LaneMap:
         leaves, tree, dtype = _arguments(args)
         kernel, result = self._kernel(leaves, tree, dtype)
         n = _length(leaves)
-        out = jax.tree.map(lambda t: np.empty(1 if n is None else n, t.dtype), result)
-        self._compute(kernel, leaves, tree, jax.tree.leaves(out))
+        outs = kernel.empty(1 if n is None else n)
+        self._compute(kernel, leaves, tree, outs)
+        out = jax.tree.unflatten(jax.tree.structure(result), outs)
         return out if n is not None else jax.tree.map(lambda leaf: leaf[0], out)
 
     def inside_jit(self, *args: Any) -> Any:
@@ -82,13 +83,15 @@ class LaneMap:
         def part(start: int) -> None:
             stop = min(start + size, n)
             those = [leaf[start:stop] if leaf.ndim else leaf for leaf in leaves]
-            order: Any = slice(None)
-            if self._likeness and mapped:
-                order = self._likeness(*jax.tree.unflatten(tree, those))
-                those = [leaf[order] if leaf.ndim else leaf for leaf in those]
-            with kernel.computed(those, stop - start) as rows:
-                for row, values in zip(rows, outs, strict=True):
-                    values[start:stop][order] = row
+            parts = [out[start:stop] for out in outs]
+            if not (self._likeness and mapped):
+                kernel.run(those, parts)
+                return
+            order = self._likeness(*jax.tree.unflatten(tree, those))
+            rows = [np.empty_like(one) for one in parts]
+            kernel.run([leaf[order] if leaf.ndim else leaf for leaf in those], rows)
+            for one, row in zip(parts, rows, strict=True):
+                one[order] = row
 
         pool = ThreadPoolExecutor(self._threads)
         try:
