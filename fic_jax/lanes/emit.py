@@ -17,8 +17,11 @@ INT32 = ir.IntType(32)
 class Writer:
     """A builder, its instructions, and the values of the nodes computed so far."""
 
-    def __init__(self, instructions: Instructions, roots: Sequence[Node]) -> None:
+    def __init__(
+        self, instructions: Instructions, roots: Sequence[Node], unrolled: int = 1
+    ) -> None:
         self.build, self.instructions = instructions.build, instructions
+        self.unrolled = unrolled  # iterations written one after the other, where they divide a loop
         self.live = live(roots)
         capture(self.live)
         self.values: dict[Node, Any] = {}
@@ -55,10 +58,18 @@ class Writer:
         for phi, value in zip(phis, carried, strict=True):
             self.define(phi, value)
         needed = sorted({n.value for n in (*phis, *results)})
-        self.compute([*(loop.outs[i] for i in needed), *loop.until()])
-        outs = [self.get(loop.outs[p.value], p.uniform) for p in phis]
-        last = [self.get(loop.outs[r.value], r.uniform) for r in results]
-        following = build.add(k, INT32(1))
+        together = self.unrolled if loop.length and loop.length % self.unrolled == 0 else 1
+        for copy in range(together):
+            known = len(self.values)
+            self.compute([*(loop.outs[i] for i in needed), *loop.until()])
+            outs = [self.get(loop.outs[p.value], p.uniform) for p in phis]
+            last = [self.get(loop.outs[r.value], r.uniform) for r in results]
+            if copy + 1 < together:
+                for node in list(self.values)[known:]:  # the next iteration computes them anew
+                    del self.values[node]
+                for phi, out in zip(phis, outs, strict=True):
+                    self.define(phi, out)
+        following = build.add(k, INT32(together))
         starts, nexts = [INT32(0), *inits], [following, *outs]
         for value, start, out in zip([k, *carried], starts, nexts, strict=True):
             value.add_incoming(start, before)

@@ -93,7 +93,12 @@ class Instructions:
         return self.mask(compare(how, x, y))
 
     def extreme(self, how: str, kind: str, x: Any, y: Any) -> Any:
-        """Maximum or minimum; NaN if one is NaN; of two zeros the second one."""
+        """Maximum or minimum; NaN if one is NaN; of two zeros the second one.
+
+        In a thread, where it is one instruction for single precision, +0 is more than -0.
+        """
+        if self.lanes == 1 and kind == "f" and self.bits == 32:
+            return self.intrinsic("maximum" if how == ">" else "minimum", x, y)
         one = self.build.select(self.truth(self.compared(how, kind, x, y)), x, y)
         if kind != "f":
             return one

@@ -17,6 +17,7 @@ from fic_jax.lanes.instructions import Instructions
 
 KERNEL = "run"
 THREADS = 128  # of a block, which starts and ends together
+UNROLLED = 2  # iterations of a loop: no value moves to the register that the next one reads
 INT32, INT64 = ir.IntType(32), ir.IntType(64)
 
 
@@ -30,7 +31,7 @@ def thread_ir(
     """
     build = ir.IRBuilder()
     instructions = Instructions(build, dtype, lanes=1, mask_bits=1)
-    writer = Writer(instructions, roots)
+    writer = Writer(instructions, roots, UNROLLED)
     stored = [_stored(one) for one in (*arguments, *results)]
     types = [*(of.as_pointer() for of in stored), *len(arguments) * [INT32], INT64]
     module = ir.Module("threads")
