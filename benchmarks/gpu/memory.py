@@ -5,6 +5,7 @@ milliseconds during its calls; what the card had in use before is taken off.
 """
 
 from statistics import median
+from time import sleep
 from typing import Any
 
 from benchmarks.child import BenchError, Child, Missing
@@ -30,17 +31,16 @@ def measure(session: Session) -> None:
             case = f"{one.name}, {dtype}, {n:,}"
             session.say(f"memory: {case}")
             try:
-                with memory_used() as before, Child() as child:
-                    session.ask(child, "time.sleep", secs=IDLE)
-                    idle = median(before)
-                    arguments: dict[str, Any] = {**vars(one), "n": n, "steps": plan.run_steps}
-                    with memory_used() as during:
-                        session.ask(child, "benchmarks.gpu.memory.calls", **arguments)
+                with memory_used() as before:
+                    sleep(IDLE)
+                arguments: dict[str, Any] = {**vars(one), "n": n, "steps": plan.run_steps}
+                with memory_used() as during, Child() as child:
+                    session.ask(child, "benchmarks.gpu.memory.calls", **arguments)
             except (BenchError, Missing, LeftOut) as why:
                 session.failed("memory", case, why)
                 continue
             about: Row = {"name": one.name, "dtype": dtype, "scenarios": n}
-            peak = (max(during) - idle) / 1e6
+            peak = (max(during) - median(before)) / 1e6
             session.results.add("memory", case, None, **about, steps=plan.run_steps, peak_MB=peak)
 
 
