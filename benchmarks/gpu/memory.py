@@ -23,7 +23,7 @@ def measure(session: Session) -> None:
     """Record the memory of the first backend at each size."""
     plan = session.plan
     backend, dtype = plan.backends[0], plan.dtypes[0]
-    for located in (False, True):
+    for located in ("rk4_events" == integrator for integrator in plan.integrators):
         one = Contender(
             f"{backend}, located" if located else backend, dtype, backend, None, located
         )

@@ -11,7 +11,8 @@ from typing import Any, TypeVar
 from benchmarks.child import BenchError, Child
 from benchmarks.gpu.results import Results
 
-PATIENCE = 240.0  # s; no compilation or call takes so long, unless it hangs
+PATIENCE = 120.0  # s; no compilation or call takes so long, unless it hangs
+NO_TIME = "no time was left"
 Item = TypeVar("Item")
 
 
@@ -58,7 +59,7 @@ class Session:
         """
         left = min(self.deadline - monotonic(), PATIENCE)
         if left <= 0:
-            raise LeftOut
+            raise LeftOut(NO_TIME)
         stopped: list[bool] = []
 
         def stop() -> None:
@@ -72,7 +73,7 @@ class Session:
             return child.call(function, **arguments)
         except BenchError as error:
             if monotonic() >= self.deadline:
-                raise LeftOut from error
+                raise LeftOut(NO_TIME) from error
             raise BenchError(f"no answer in {left:.0f} s") if stopped else error from None
         finally:
             timer.cancel()
@@ -80,11 +81,9 @@ class Session:
 
     def failed(self, part: str, case: str, why: Exception) -> None:
         """Record why a case has no numbers."""
-        if isinstance(why, LeftOut):
-            self.results.add(part, case, why="no time was left")
-            return
         line = (str(why).splitlines() or [type(why).__name__])[0][:300]
-        self.say(f"{part}: {case}: {line}")
+        if not isinstance(why, LeftOut):  # the table names those that time left out
+            self.say(f"{part}: {case}: {line}")
         self.results.add(part, case, why=line)
 
     def side_by_side(self, work: Callable[[Item], None], items: Iterable[Item]) -> None:

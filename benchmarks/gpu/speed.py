@@ -18,7 +18,7 @@ import numpy as np
 
 from benchmarks.child import BenchError, Child, Missing
 from benchmarks.gpu.results import missing
-from benchmarks.gpu.session import LeftOut, Session
+from benchmarks.gpu.session import LeftOut, Plan, Session
 from benchmarks.implementations import scenarios
 from benchmarks.plan import DT
 from benchmarks.tables import Row, Table, measured
@@ -26,7 +26,9 @@ from fic_jax import Model, Params, sweep
 
 KERNEL = "/fic_jax/run/kernel"  # an event for listeners of JAX: seconds of a launch on the card
 ORDERS = ("random", "grid")
-FEW = 100_000  # scenarios, at most, of those that launch kernels for each plant step
+# Scenarios, at most, of those that launch kernels for each plant step; XLA's blocks of 128 do so
+# one after the other.
+FEW_SCANNED, FEW_IN_BLOCKS = 100_000, 16_384
 FLOAT64 = 1_000_000  # scenarios, at most, in float64
 SLOW = 15.0  # s; a contender whose first call at a size takes longer gets one round
 CUDA, SCAN = "CUDA twin", "jit(vmap(scan))"
@@ -42,23 +44,22 @@ class Contender:
     peer: str | None = None  # the module of benchmarks.peers instead
     located: bool = False  # switches: the integrator rk4_events
     four: bool = False  # four leaves vary, the others are scalars
-    most: int | None = None  # scenarios
+    most: int | None = None  # scenarios: it gets fewer at the smallest size, and nothing beyond
 
 
-def contenders(backends: tuple[str, ...], dtype: str) -> Iterator[Contender]:
+def contenders(plan: Plan, dtype: str) -> Iterator[Contender]:
     """All of one precision; the first backend's are compared with all others."""
-    main = backends[0]
-    for backend in backends:
-        few = FEW if backend == "xla" and backend != main else None
-        yield Contender(backend, dtype, backend, most=few)
-        if backend == main and dtype == "float32":
-            yield Contender(f"{backend}, 4 vary", dtype, backend, four=True)
+    main, located = plan.backends[0], "rk4_events" in plan.integrators
+    most = {name: FEW_IN_BLOCKS for name in plan.backends if name == "xla" != main}
+    for name in plan.backends:
+        yield Contender(name, dtype, name, most=most.get(name))
+        if name == main and dtype == "float32":
+            yield Contender(f"{name}, 4 vary", dtype, name, four=True)
     yield Contender(CUDA, dtype, peer="cuda")
     if dtype == "float32":
-        yield Contender(SCAN, dtype, peer="plain", most=FEW)
-    for backend in backends:
-        few = FEW if backend == "xla" and backend != main else None
-        yield Contender(f"{backend}, located", dtype, backend, located=True, most=few)
+        yield Contender(SCAN, dtype, peer="plain", most=FEW_SCANNED)
+    for name in plan.backends if located else ():
+        yield Contender(f"{name}, located", dtype, name, located=True, most=most.get(name))
 
 
 def measure(session: Session) -> None:
@@ -83,20 +84,21 @@ def _started(session: Session, stack: ExitStack, dtype: str) -> dict[Contender, 
     def start(one: Contender) -> None:
         child = stack.enter_context(Child())
         try:
-            _ask(session, child, one, min(one.most or n, n), "random")
+            _ask(session, child, one, n, "random")
             started[one] = child
         except (BenchError, Missing, LeftOut) as why:
             session.failed("rates", f"{one.name}, {one.dtype}", why)
 
     session.say(f"rates: {dtype}: compiling")
-    every = list(contenders(session.plan.backends, dtype))
+    every = list(contenders(session.plan, dtype))
     session.side_by_side(start, every)
     return {one: started[one] for one in every if one in started}
 
 
 def _race(session: Session, racing: dict[Contender, Child], n: int, order: str) -> None:
     """Record the rounds of those that take so many scenarios; drop one that fails."""
-    running = [one for one in racing if n <= (one.most or n)]
+    smallest = min(session.plan.sizes)
+    running = [one for one in racing if n <= max(one.most or n, smallest)]
     rounds = {}
 
     def prepare(one: Contender) -> None:
@@ -121,11 +123,17 @@ def _race(session: Session, racing: dict[Contender, Child], n: int, order: str) 
                 session.failed("rates", case, why)
                 rounds[one] = 0
                 continue
-            about = {"scenarios": n, "order": order, "steps": session.plan.run_steps}
+            about = {"size": n, "scenarios": _count(one, n), "order": order}
+            about["steps"] = session.plan.run_steps
             session.results.add("rates", case, i, **asdict(one), **about, **taken)
     for one in running:
         if one not in rounds:
             del racing[one]  # its process may have ended
+
+
+def _count(one: Contender, n: int) -> int:
+    """Its scenarios at a size of n."""
+    return min(n, one.most or n)
 
 
 def _case(one: Contender, n: int, order: str) -> str:
@@ -133,7 +141,7 @@ def _case(one: Contender, n: int, order: str) -> str:
 
 
 def _ask(session: Session, child: Child, one: Contender, n: int, order: str) -> Any:
-    arguments = {"n": n, "order": order, "steps": session.plan.run_steps}
+    arguments = {"n": _count(one, n), "order": order, "steps": session.plan.run_steps}
     return session.ask(child, "benchmarks.gpu.speed.timed", **asdict(one), **arguments)
 
 
@@ -270,30 +278,31 @@ def tables(records: list[Row]) -> list[Table]:
 
 
 def _cases(rounds: list[Row]) -> dict[tuple[str, str, int, str], dict[int, Row]]:
-    """Name, dtype, scenarios, order -> round -> record."""
+    """Name, dtype, size, order -> round -> record, with rates in 10^9 plant steps a second."""
     cases: dict[tuple[str, str, int, str], dict[int, Row]] = {}
     for r in rounds:
-        key = r["name"], r["dtype"], r["scenarios"], r["order"]
-        cases.setdefault(key, {})[r["round"]] = r
+        key = r["name"], r["dtype"], r["size"], r["order"]
+        work = r["scenarios"] * r["steps"] / 1e9
+        rates = {what: work / r[f"{what}_s"] for what in ("whole", "kernel") if f"{what}_s" in r}
+        cases.setdefault(key, {})[r["round"]] = r | rates
     return cases
 
 
 def _rows(rounds: list[Row]) -> list[Row]:
     cases = _cases(rounds)
     rows = []
-    for (name, dtype, n, order), taken in cases.items():
+    for (name, dtype, size, order), taken in cases.items():
+        n = next(iter(taken.values()))["scenarios"]
         row: Row = {"name": name, "dtype": dtype, "scenarios": n, "order": order}
-        work = n * next(iter(taken.values()))["steps"] / 1e9
         for what in ("whole", "kernel"):
-            if all(f"{what}_s" in r for r in taken.values()):
-                row[what] = measured([work / r[f"{what}_s"] for r in taken.values()], max)
-        if "kernel" in row:
-            ratios = [r["kernel_s"] / r["whole_s"] for r in taken.values()]
+            if rates := [r[what] for r in taken.values() if what in r]:
+                row[what] = measured(rates, max)
+        if ratios := _ratios(taken, "whole", taken, "kernel"):
             row["whole_over_kernel"] = measured(ratios)["median"]
-        base = cases.get((_baseline(rounds, name), dtype, n, order))
+        base = cases.get((_baseline(rounds, name), dtype, size, order), {})
         for what in ("whole", "kernel"):
-            if base and base is not taken and (found := _ratios(taken, base, f"{what}_s")):
-                row[f"{what}s"] = measured(found)["median"]
+            if base is not taken and (ratios := _ratios(base, what, taken, what)):
+                row[f"{what}s"] = measured(ratios)["median"]
         rows.append(row)
     return rows
 
@@ -304,69 +313,65 @@ def _baseline(rounds: list[Row], name: str) -> str:
     return f"{main}, located" if name.endswith(", located") else main
 
 
-def _ratios(of: dict[int, Row], over: dict[int, Row], what: str) -> list[float]:
-    """The first one's seconds over the other's, in each round that both have."""
+def _ratios(of: dict[int, Row], what: str, over: dict[int, Row], other: str) -> list[float]:
+    """One rate over another, in each round that has both."""
     both = [(of[i], over[i]) for i in of if i in over]
-    return [a[what] / b[what] for a, b in both if what in a and what in b]
+    return [a[what] / b[other] for a, b in both if what in a and other in b]
 
 
 def _targets(rounds: list[Row], main: str) -> Iterator[Row]:
-    cases = {k: v for k, v in _cases(rounds).items() if k[1] == "float32" and k[3] == "random"}
-    sizes = sorted({n for _, _, n, _ in cases})
+    cases = _cases(rounds)
+    sizes = {size for _, dtype, size, _ in cases if dtype == "float32"}
     if not sizes:
         return
+    small, large = min(sizes), max(sizes)
 
-    def of(name: str, n: int) -> dict[int, Row]:
-        return cases.get((name, "float32", n, "random"), {})
+    def of(name: str, size: int) -> dict[int, Row]:
+        return cases.get((name, "float32", size, "random"), {})
 
-    n, small = sizes[-1], sizes[0]
-    ours, located = of(main, n), of(f"{main}, located", n)
-    found: list[tuple[str, int, list[float], Row]] = [
+    ours, located, few = of(main, large), of(f"{main}, located", large), of(main, small)
+    four = of(f"{main}, 4 vary", large)
+    kernels = [r["kernel"] for r in ours.values() if "kernel" in r]
+    rows: list[tuple[str, int, list[float], Row]] = [
+        (f"{main}, kernel, 10^9 plant steps a second", large, kernels, {"at_least": 50.0}),
         (
-            f"{main}, kernel, 10^9 plant steps a second",
-            n,
-            [n * r["steps"] / 1e9 / r["kernel_s"] for r in ours.values() if "kernel_s" in r],
+            f"{main}'s kernel rate over the CUDA twin's",
+            large,
+            _ratios(ours, "kernel", of(CUDA, large), "kernel"),
+            {"at_least": 0.9},
+        ),
+        (
+            f"whole call's rate over the kernel's: {main}",
+            large,
+            _ratios(ours, "whole", ours, "kernel"),
+            {"at_least": 0.8},
+        ),
+        (
+            f"whole call's rate over the kernel's: {main}, 4 vary",
+            large,
+            _ratios(four, "whole", four, "kernel"),
+            {"at_least": 0.8},
+        ),
+        (
+            f"{main}'s whole call over {SCAN}'s",
+            small,
+            _ratios(few, "whole", of(SCAN, small), "whole"),
             {"at_least": 50.0},
         ),
         (
-            f"{main}'s kernel rate over the CUDA twin's",
-            n,
-            _ratios(of(CUDA, n), ours, "kernel_s"),
-            {"at_least": 0.9},
-        ),
-        *(
-            (
-                f"whole call's rate over the kernel's: {name}",
-                n,
-                [r["kernel_s"] / r["whole_s"] for r in of(name, n).values() if "kernel_s" in r],
-                {"at_least": 0.8},
-            )
-            for name in (main, f"{main}, 4 vary")
-        ),
-        *(
-            (
-                f"{main}'s whole call over {name}'s",
-                small,
-                _ratios(of(name, small), of(main, small), "whole_s"),
-                {"at_least": 50.0},
-            )
-            for name in (SCAN, "xla")
-            if name != main
-        ),
-        (
             f"located switches, time over rk4's, kernel: {main}",
-            n,
-            _ratios(located, ours, "kernel_s"),
+            large,
+            _ratios(ours, "kernel", located, "kernel"),
             {"at_most": 1.5},
         ),
         (
             f"located switches, time over rk4's, whole call: {main}",
-            n,
-            _ratios(located, ours, "whole_s"),
+            large,
+            _ratios(ours, "whole", located, "whole"),
             {"at_most": 1.5},
         ),
     ]
-    for name, size, values, target in found:
+    for name, size, values, target in rows:
         if values:
-            best: Any = min if "at_most" in target else max
+            best = min if "at_most" in target else max
             yield {"name": name, "scenarios": size} | measured(values, best, **target)

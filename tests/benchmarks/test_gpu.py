@@ -6,9 +6,11 @@ import os
 import subprocess
 import sys
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from time import monotonic
 
+import jax
 import numpy as np
 import pytest
 
@@ -19,7 +21,7 @@ from benchmarks.gpu.agreement import UNLIKE, apart, differences
 from benchmarks.gpu.results import Results, missing
 from benchmarks.gpu.session import LeftOut, Plan, Session
 from benchmarks.scenarios import wide
-from fic_jax import CHOICES, METRICS, Metrics
+from fic_jax import CHOICES, METRICS, Metrics, sweep
 
 ROOT = Path(__file__).parents[2]
 SMALL = (
@@ -62,12 +64,12 @@ def test_every_part_that_needs_no_card(tmp_path):
         assert row["scenarios"] == 16 and row["finite_differs"] == row["unlike"] == 0
         assert len(row["worst"]) <= row["listed"] <= agreement.WORST
     rates = records(tmp_path, "rates")
-    timed = [(r["name"], r["scenarios"], r["order"], r["round"]) for r in rates if "why" not in r]
-    names = ("xla", "xla, 4 vary", "xla, located", speed.SCAN)
+    timed = [(r["name"], r["size"], r["order"], r["round"]) for r in rates if "why" not in r]
+    names = ("xla", "xla, 4 vary", speed.SCAN)
     assert set(timed) >= set(itertools.product(names, (16, 32), speed.ORDERS, (0, 1)))
     engine = [r for r in rates if r.get("backend")]
     assert all(r["kernel_s"] > 0 and r["whole_s"] > 0 for r in engine)
-    assert len(records(tmp_path, "memory")) == 4
+    assert len(records(tmp_path, "memory")) == 2
     before = (tmp_path / "out" / "tables.md").read_text()
     titles = [
         line.strip("*").split(":")[0] for line in before.splitlines() if line.startswith("**")
@@ -127,10 +129,9 @@ def test_memory_is_what_a_sweep_adds(tmp_path, monkeypatch):
     monkeypatch.setattr(memory, "memory_used", lambda: nullcontext(next(readings)))
     once = session(tmp_path)
     once.deadline = monotonic() + 300
-    monkeypatch.setattr(memory, "Child", lambda: nullcontext())
+    monkeypatch.setattr(memory, "Child", nullcontext)
     monkeypatch.setattr(Session, "ask", lambda *_, **__: None)
-    with pytest.raises(StopIteration):  # located switches come next
-        memory.measure(once)
+    memory.measure(once)
     (row,) = memory.tables(once.results.of("memory"))[0].rows
     assert row["name"] == "xla" and row["peak_MB"] == 3.0
 
@@ -186,11 +187,49 @@ def test_a_later_result_replaces_an_earlier_one_and_a_cut_line_is_left_out(tmp_p
     assert missing(again) == ["b: not measured: no card"]
 
 
+def test_the_kernel_is_what_the_backend_reports(monkeypatch):
+    """The seconds of all launches of a call; a peer's kernel runs in a call of its own."""
+
+    def launched(*arguments, backend, **options):
+        for _ in range(2):
+            jax.monitoring.record_event_duration_secs(speed.KERNEL, 0.25)
+        return sweep(*arguments, backend="lanes", **options)
+
+    monkeypatch.setattr(speed, "sweep", launched)
+    monkeypatch.setattr(speed, "import_module", lambda name: Twin)
+    batch = {"n": 8, "order": "grid", "steps": 4, "name": "", "dtype": "float64"}
+    ours = speed.timed(**batch, backend="ptx", four=True, located=True)
+    assert ours["kernel_s"] == 0.5 and ours["whole_s"] > 0
+    assert speed.timed(**batch, peer="cuda")["kernel_s"] == 0.125
+
+
+class Twin:
+    """A peer with a kernel."""
+
+    @staticmethod
+    def prepare(batch, dt, n_steps):
+        assert all(np.shape(leaf) == (8,) for leaf in jax.tree.leaves(batch))
+
+        def run():
+            return None
+
+        run.kernel_seconds = lambda repeats: [0.125] * repeats
+        return run
+
+
+def test_fewer_scenarios_for_those_that_launch_kernels_for_each_step(tmp_path):
+    plan = session(tmp_path, backends=("ptx", "pallas", "xla"), integrators=("rk4_events",)).plan
+    every = {one.name: one for one in speed.contenders(plan, "float32")}
+    assert every["xla, located"].most == speed.FEW_IN_BLOCKS and every["ptx"].most is None
+    names = [one.name for one in speed.contenders(replace(plan, backends=("xla",)), "float64")]
+    assert names == ["xla", speed.CUDA, "xla, located"]
+
+
 def test_the_targets_compare_the_same_rounds(tmp_path):
     results = Results(tmp_path)
     seconds = {"ptx": (2e-4, 2.5e-4), speed.CUDA: (1.9e-4, 5e-4), "ptx, located": (2.8e-4, 4e-4)}
     for name, (kernel, whole) in seconds.items():
-        about = {"name": name, "dtype": "float32", "order": "random", "steps": 1000}
+        about = {"name": name, "dtype": "float32", "order": "random", "steps": 1000, "size": 10_000}
         backend = None if name == speed.CUDA else "ptx"
         for i in range(3):
             results.add("rates", name, i, **about, scenarios=10_000, backend=backend,
