@@ -47,6 +47,8 @@ def main() -> int:
         os.environ["JAX_PLATFORMS"] = "cpu"
     elif not options.tables and (why := card.no_card()):
         return _refuse(f"no NVIDIA card ({why}); --cpu tries the commands on the CPU")
+    else:  # JAX says so if it can't use the card, and takes no other device for it
+        os.environ.setdefault("JAX_PLATFORMS", "cuda,cpu")
     session = Session(_plan(options), Results(options.out))
     wanted = [] if options.tables else [name for name in PARTS if name in (options.only or PARTS)]
     end, failed = monotonic() + options.limit, False
