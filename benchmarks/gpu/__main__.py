@@ -57,6 +57,7 @@ def main() -> int:
         to_come = sum(PARTS[other][2] for other in wanted[i:])
         session.deadline = monotonic() + (end - monotonic()) * share / to_come
         session.say(f"{name}: at most {session.deadline - monotonic():.0f} s")
+        session.results.begin(name)
         try:
             measure(session)
         except KeyboardInterrupt:

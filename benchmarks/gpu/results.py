@@ -2,7 +2,8 @@
 
 A record has its part, its case and, if it is timed, its round. A later record replaces an earlier
 one of the same three, so a second command in the same folder adds to the first. A case that could
-not be measured has `why` instead of numbers.
+not be measured has `why` instead of numbers; when a command begins a part again, the reasons of the
+commands before no longer count.
 """
 
 import json
@@ -14,6 +15,7 @@ from typing import Any
 from benchmarks.tables import Row, Table, markdown
 
 NAMED = 10  # cases in a line
+BEGIN = "begin"  # the case of a record without numbers
 
 
 class Results:
@@ -28,6 +30,10 @@ class Results:
         for line in lines:
             if line.endswith("}"):  # the last one may be cut off
                 self._keep(json.loads(line))
+
+    def begin(self, part: str) -> None:
+        """Forget why the cases of a part were not measured before."""
+        self.add(part, BEGIN)
 
     def add(self, part: str, case: str, round_: int | None = None, **values: Any) -> None:
         """Append a record; it is on the disk when this returns."""
@@ -55,17 +61,12 @@ class Results:
         return page
 
     def _keep(self, record: Row) -> None:
-        part, case = record["part"], record["case"]
-        if "why" in record:
-            key = (part, case, None)
-            if any(k[:2] == key[:2] and "why" not in r for k, r in self._records.items()):
-                return  # an earlier command measured it
-            self._records[key] = record
+        part = record["part"]
+        if record["case"] == BEGIN:
+            earlier = self._records.items()
+            self._records = {k: r for k, r in earlier if r["part"] != part or "why" not in r}
             return
-        failure = self._records.get((part, case, None), {})
-        if "why" in failure:
-            del self._records[part, case, None]
-        self._records[part, case, record["round"]] = record
+        self._records[part, record["case"], record["round"]] = record
 
 
 def missing(records: list[Row]) -> list[str]:

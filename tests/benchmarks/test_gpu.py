@@ -179,7 +179,7 @@ def test_a_later_result_replaces_an_earlier_one_and_a_cut_line_is_left_out(tmp_p
     results.add("rates", "a", why="no card")
     results.add("rates", "a", 0, whole_s=2.0)
     results.add("rates", "a", 0, whole_s=1.0)
-    results.add("rates", "a", why="too late")
+    results.begin("rates")
     results.add("rates", "b", why="no card")
     with (tmp_path / "results.jsonl").open("a") as file:
         file.write('{"part": "rates", "case": "c", "rou')
