@@ -4,6 +4,8 @@
 # make coverage how much of the store, the ledger and the planner the tests run
 # make picture remake the README's picture
 # make figures the paper's figures, and those of a report that has run, under results/figures/
+# make gpu     measure everything on an NVIDIA card, with the packages that are there: tables under results/gpu/
+#              make gpu GPU="--only rates --limit 600"; python -m benchmarks.gpu --help lists the options
 # make clean   remove the results, as after a change of the program; make distclean the environment too
 PYTHON ?= python3
 VENV := .venv
@@ -21,7 +23,7 @@ STORE_TESTS := tests/store tests/test_runner.py tests/spec tests/plan
 modules = $(subst $() ,$(comma),$(patsubst %,sweeps/%.py,$(1)))
 comma := ,
 
-.PHONY: sweep test lint torture coverage picture figures clean distclean
+.PHONY: sweep test lint torture coverage picture figures gpu clean distclean
 
 sweep: $(VENV)/installed
 	@mkdir -p results
@@ -57,6 +59,10 @@ figures: $(VENV)/installed
 	@# the findings beyond the paper, from the data that fic-sweep report has written
 	@$(BIN)/python -m figures.findings
 	@ls results/figures/*.png
+
+# no installation and no network: the machine with the card may have neither
+gpu:
+	@$(if $(wildcard $(BIN)/python),$(BIN)/python,$(PYTHON)) -m benchmarks.gpu $(GPU)
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "fic_jax needs Python 3.11 or newer; make PYTHON=...")'

@@ -13,6 +13,7 @@ machine.py          processor, versions, load
 work_precision.py   `python -m benchmarks.work_precision`: error against cost of several solvers
 trust.py, gradients.py   errors and trust, derivatives: `python -m benchmarks.trust`, `.gradients`
 solvers.py          those solvers; scenarios.py: what they solve
+gpu/                `python -m benchmarks.gpu`: a GPU's bits against the CPU's, rates, memory
 
 Each table starts its children, one for each implementation, and calls them in turn, so that only
 one computes at a time. Their seconds become the rows of a Table, and `tables.render` writes it.

@@ -59,6 +59,10 @@ class Child:
             raise Missing(answer["missing"])
         return answer["value"]
 
+    def stop(self) -> None:
+        """Kill the process, from any thread; the call that waits for it raises BenchError."""
+        self._process.kill()
+
     def end(self) -> None:
         """Let the child exit as a program does, and wait for that."""
         self._ask(None)

@@ -1,4 +1,4 @@
-"""Seeded scenarios that measure accuracy: approach, contact and welded."""
+"""Seeded scenarios: approach, contact and welded, to measure accuracy; wide ones, for bits."""
 
 from dataclasses import dataclass
 
@@ -51,3 +51,34 @@ def _drawn(rng: np.random.Generator, n: int, wall: dict[str, np.ndarray]) -> Par
     }
     leaves = vars(Params(**drawn, **wall, period=PERIOD))
     return Params(**{name: np.full(n, leaf, np.float64) for name, leaf in leaves.items()})
+
+
+def wide(n: int, seed: int) -> Params:
+    """`n` scenarios over all fields: both signs of Td, overshooting profiles, approaches.
+
+    Every leaf is float64 `[n]`. The bits that tests/engine records are those of these draws.
+    """
+    rng = np.random.default_rng(seed)
+
+    def log(low: float, high: float) -> np.ndarray:
+        return np.exp(rng.uniform(np.log(low), np.log(high), n))
+
+    gap = np.where(rng.random(n) < 0.5, 0.0, rng.uniform(-0.1, 0.5, n))
+    x0 = rng.uniform(0.05, 0.15, n)
+    return Params(
+        K0=log(0.5, 1000.0),
+        Fmax=rng.uniform(5.0, 30.0, n),
+        x0=x0,
+        xb=x0 + rng.uniform(0.005, 0.05, n),
+        S=rng.uniform(5.0, 30.0, n),
+        Td=np.where(rng.random(n) < 0.1, -1.0, 1.0) * log(0.5, 20.0),
+        xd=np.where(rng.random(n) < 0.5, gap, 0.0),
+        sigma=log(0.001, 0.1),
+        period=PERIOD * rng.integers(1, 6, n),
+        I=log(1.0, 20.0),
+        Kenv=log(10.0, 1000.0),
+        Denv=np.where(rng.random(n) < 0.2, 0.0, rng.uniform(0.0, 300.0, n)),
+        gap=gap,
+        x_init=np.where(rng.random(n) < 0.5, 0.0, rng.uniform(-0.2, 0.2, n)),
+        v_init=np.where(rng.random(n) < 0.5, 0.0, rng.uniform(-1.0, 1.0, n)),
+    )

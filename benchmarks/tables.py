@@ -49,10 +49,10 @@ def render(machine: Row, tables: dict[str, Table], form: str = "text", **setting
     if form == "json":
         shown = {k: {"title": t.title, "rows": t.rows, "notes": t.notes} for k, t in tables.items()}
         return json.dumps({"machine": machine, "settings": settings, "tables": shown})
-    markdown = form == "markdown"
-    lines = [f"- {line}" if markdown else line for line in _machine(machine)]
+    bullet = "- " if form == "markdown" else ""
+    lines = [bullet + line for line in _machine(machine)]
     for table in tables.values():
-        lines += _markdown(table) if markdown else _text(table)
+        lines += markdown(table) if form == "markdown" else _text(table)
     return "\n".join(lines)
 
 
@@ -66,17 +66,18 @@ def _text(table: Table) -> list[str]:
     return lines + table.notes
 
 
-def _markdown(table: Table) -> list[str]:
+def markdown(table: Table) -> list[str]:
+    """The lines of a table in Markdown, after an empty one."""
     head, *rows = table.cells()
     rule = ["---", *["---:"] * (len(head) - 1)]
-    lines = [f"| {' | '.join(row)} |" for row in (head, rule, *rows)]
+    lines = [f"| {' | '.join(row)} |" for row in (head, rule, *rows)] if rows else []
     return ["", f"**{table.title}**", "", *lines, *(f"\n{note}" for note in table.notes)]
 
 
 def _cell(form: str, row: Row) -> str:
     try:
         return form.format(**row)
-    except KeyError:
+    except LookupError:
         return ""
 
 

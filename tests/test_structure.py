@@ -68,6 +68,7 @@ ROOMS = {
     "figures.paper": {*STORE, "figures", "sweeps.paper.scenarios"},
     "benchmarks": {*RUNNER, "sweeps.processor", "benchmarks", "figures"},
     "benchmarks.__main__": {"sweeps.cli"},  # `python -m benchmarks` is `fic-sweep bench`
+    "benchmarks.gpu": {"fic_jax", "benchmarks"},  # a machine with a card may have no more
     "benchmarks.fic_sweep": {"benchmarks", "sweeps.cli", "sweeps.runner"},  # times a whole process
     "sweeps.cli": {
         *RUNNER,

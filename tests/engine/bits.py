@@ -14,40 +14,17 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from fic_jax import CHOICES, METRICS, Model, Params, sweep
+from benchmarks.scenarios import wide
+from fic_jax import CHOICES, METRICS, Model, sweep
 from fic_jax.engine import arithmetic
 
 GOLDEN = Path(__file__).with_name("bits.json")
-N, N_STEPS, DT = 4096, 200, 0.01
+N, N_STEPS, DT, SEED = 4096, 200, 0.01, 20261126
 
 
 def scenarios(dtype):
-    """N scenarios over all fields: both signs of Td, overshooting profiles, approaches."""
-    rng = np.random.default_rng(20261126)
-
-    def log(low, high):
-        return np.exp(rng.uniform(np.log(low), np.log(high), N))
-
-    gap = np.where(rng.random(N) < 0.5, 0.0, rng.uniform(-0.1, 0.5, N))
-    x0 = rng.uniform(0.05, 0.15, N)
-    columns = {
-        "K0": log(0.5, 1000.0),
-        "Fmax": rng.uniform(5.0, 30.0, N),
-        "x0": x0,
-        "xb": x0 + rng.uniform(0.005, 0.05, N),
-        "S": rng.uniform(5.0, 30.0, N),
-        "Td": np.where(rng.random(N) < 0.1, -1.0, 1.0) * log(0.5, 20.0),
-        "xd": np.where(rng.random(N) < 0.5, gap, 0.0),
-        "sigma": log(0.001, 0.1),
-        "period": DT * rng.integers(1, 6, N),
-        "I": log(1.0, 20.0),
-        "Kenv": log(10.0, 1000.0),
-        "Denv": np.where(rng.random(N) < 0.2, 0.0, rng.uniform(0.0, 300.0, N)),
-        "gap": gap,
-        "x_init": np.where(rng.random(N) < 0.5, 0.0, rng.uniform(-0.2, 0.2, N)),
-        "v_init": np.where(rng.random(N) < 0.5, 0.0, rng.uniform(-1.0, 1.0, N)),
-    }
-    return Params(**{name: column.astype(dtype) for name, column in columns.items()})
+    """N scenarios over all fields, the same ones whenever the bits are recorded."""
+    return jax.tree.map(lambda column: column.astype(dtype), wide(N, SEED))
 
 
 def readings():
