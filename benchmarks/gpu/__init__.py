@@ -6,6 +6,7 @@ results.py     results.jsonl, to which each result is appended; the tables made 
 card.py        part `machine`: the card, driver, versions; memory used on the card
 agreement.py   parts `bits` and `correctness`: a backend's metrics against the CPU's, bit for bit
 speed.py       part `rates`: whole calls and kernels, beside a CUDA twin and a scan
+reduced.py     part `reduced`: scenarios made and metrics reduced on the card
 memory.py      part `memory`: the most memory that a sweep needs on the card
 
 A part is a module with `measure(session)`, which adds records, and `tables(records)`, which makes

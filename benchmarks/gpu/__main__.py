@@ -14,7 +14,7 @@ from pathlib import Path
 from time import monotonic
 from typing import get_args
 
-from benchmarks.gpu import agreement, card, memory, speed
+from benchmarks.gpu import agreement, card, memory, reduced, speed
 from benchmarks.gpu.results import Results
 from benchmarks.gpu.session import Plan, Session
 from benchmarks.tables import Row, Table
@@ -28,6 +28,7 @@ PARTS: dict[str, Part] = {
     "machine": (card.measure, card.tables, 0.05),
     "bits": (agreement.bits, agreement.tables_of_bits, 0.10),
     "rates": (speed.measure, speed.tables, 0.40),
+    "reduced": (reduced.measure, reduced.tables, 0.05),
     "memory": (memory.measure, memory.tables, 0.05),
     "correctness": (agreement.correctness, agreement.tables_of_correctness, 0.40),
 }

@@ -23,8 +23,9 @@ from benchmarks.implementations import scenarios
 from benchmarks.plan import DT
 from benchmarks.tables import Row, Table, measured
 from fic_jax import Model, Params, sweep
+from fic_jax.engine import sweeping
+from fic_jax.engine.xla import LANES
 
-KERNEL = "/fic_jax/run/kernel"  # an event for listeners of JAX: seconds of a launch on the card
 ORDERS = ("random", "grid")
 # Scenarios, at most, of those that launch kernels for each plant step; XLA's blocks of 128 do so
 # one after the other.
@@ -152,28 +153,11 @@ def timed(n: int, order: str, steps: int, **contender: Any) -> Row:
     """Seconds of a whole call and of the kernel in it, or else in a call of its own."""
     one = Contender(**contender)
     jax.config.update("jax_enable_x64", one.dtype == "float64")
-    launches = _launches()
     whole, kernel = _prepared(one, n, order, steps)
-    launches.clear()
     began = perf_counter()
     whole()
     taken = {"whole_s": perf_counter() - began}
-    if launches:
-        return taken | {"kernel_s": sum(launches)}
     return taken | ({"kernel_s": kernel()} if kernel else {})
-
-
-@lru_cache
-def _launches() -> list[float]:
-    """Seconds of each launch that the backend reports."""
-    seconds: list[float] = []
-
-    def listen(event: str, duration_secs: float, **_: str | int) -> None:
-        if event == KERNEL:
-            seconds.append(duration_secs)
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    return seconds
 
 
 @lru_cache(maxsize=1)
@@ -198,20 +182,56 @@ def _prepared(
     def whole() -> Any:
         return sweep(batch, model=model, dt=DT, n_steps=steps, backend=one.backend)
 
-    if one.backend not in ("xla", "pallas"):
+    if one.backend not in ("ptx", "xla", "pallas"):
         return whole, None
     whole()  # compiles
-    return whole, _resident(one.backend, model, steps, batch, n)
+    resident = _launched if one.backend == "ptx" else _resident
+    return whole, resident(_program(one.backend, model, steps, batch), batch, n)
 
 
-def _resident(backend: Any, model: Model, steps: int, batch: Params, n: int) -> Callable[[], float]:
-    """Seconds of the compiled program of `sweep` on columns that are on the device."""
-    from fic_jax.engine import sweeping
-    from fic_jax.engine.xla import LANES
+def _program(backend: Any, model: Model, steps: int, batch: Params) -> Any:
+    """The program that `sweep` has compiled."""
+    dtype, devices = np.asarray(batch.K0).dtype, tuple(jax.local_devices())
+    return sweeping._program(backend, model, steps, False, dtype, devices, False)
 
-    dt = np.asarray(DT, batch.K0.dtype)
-    devices = tuple(jax.local_devices())
-    program: Any = sweeping._program(backend, model, steps, False, dt.dtype, devices)
+
+def _launched(program: Any, batch: Params, n: int) -> Callable[[], float]:
+    """Seconds of a launch of the kernel, by CUDA events, on columns that are on the card."""
+    from cuda.core import Device, EventOptions
+
+    from fic_jax.lanes.gpu import Stage, laid_out
+
+    leaves = [*sweeping.columns(vars(batch)), np.asarray(DT, np.asarray(batch.K0).dtype)]
+    (kernel, _), *_ = program._compiled.values()
+    device = Device(program._gpus[0])
+    device.set_current()
+    varying = [leaf.strides not in ((), (0,)) for leaf in leaves]
+    lengths = [n if one else 1 for one in varying] + [n] * len(kernel.results)
+    places, size = laid_out([*kernel.types, *kernel.results], lengths)
+    split = places[len(leaves) - 1].stop
+    stage = Stage(program._gpus[0], split, size)
+    for place, leaf, of in zip(places, leaves, kernel.types, strict=False):
+        row = stage.host[place].view(of)
+        row[:] = leaf if leaf.ndim == 0 else leaf[: len(row)]
+    stage.copy(stage.address, stage.host.ctypes.data, split)
+    addresses = [stage.address + place.start for place in places]
+    options = EventOptions(timing_enabled=True)
+    begin, end = (device.create_event(options=options) for _ in range(2))
+
+    def seconds() -> float:
+        stage.stream.record(begin)
+        kernel.launch(stage.stream, addresses[: len(leaves)], varying, addresses[len(leaves) :], n)
+        stage.stream.record(end)
+        end.sync()
+        return (end - begin) / 1000.0
+
+    seconds()  # CUDA loads a kernel at its first launch
+    return seconds
+
+
+def _resident(program: Any, batch: Params, n: int) -> Callable[[], float]:
+    """Seconds of the program of XLA or Pallas on columns that are on the device."""
+    dt = np.asarray(DT, np.asarray(batch.K0).dtype)
     leaves = sweeping.columns(vars(batch))
     capacity = program.n_devices * program.blocks * LANES
     parts = []
