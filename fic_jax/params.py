@@ -2,6 +2,8 @@
 
 import dataclasses
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar, get_args
 
@@ -140,6 +142,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "integrator": get_args(Integrator),
 }
 
+MANY, PART = 10_000, 1_000_000  # numbers whose extremes are looked at first, in threads of so many
 _BOUNDS = {
     "finite": lambda a: np.ones(a.shape, bool),
     "positive": lambda a: a > 0,
@@ -191,8 +194,10 @@ def check_field(name: str, values: Any, dt: float | None = None) -> None:
     `period` must also be a whole multiple of `dt`, within 1e-6: float32 rounds 0.01 by 2e-8.
     """
     numbers = on_host(real(name, values, QUANTITIES[name]["unit"]))
-    a = np.atleast_1d(np.asarray(numbers, np.float64))
     bound = QUANTITIES[name]["bound"]
+    if np.size(numbers) >= MANY:
+        numbers = _suspects(name, np.asarray(numbers), bound)
+    a = np.atleast_1d(np.asarray(numbers, np.float64))
     wanted = bound if bound == "finite" else f"{bound} and finite"
     with np.errstate(invalid="ignore"):
         bad = ~(np.isfinite(a) & _BOUNDS[bound](a))
@@ -208,6 +213,24 @@ def check_field(name: str, values: Any, dt: float | None = None) -> None:
             near = max(round(ticks[bad][0]), 1) * dt
             wanted = f"a whole multiple of dt = {dt:g} s (nearest: {near:.6g})"
             raise ParamsError(name, f"{a[bad][0]:.6g}", wanted)
+
+
+def _suspects(name: str, numbers: np.ndarray, bound: str) -> np.ndarray:
+    """The extremes alone where no other number can be wrong, or else all numbers."""
+    low, high = ends = extremes(numbers)
+    with np.errstate(invalid="ignore"):
+        right = np.isfinite(ends).all() and _BOUNDS[bound](ends).all()
+    between = (bound == "non-zero" and low < 0 < high) or (name == "period" and low < high)
+    return ends if right and not between else numbers
+
+
+def extremes(numbers: np.ndarray) -> np.ndarray:
+    """The least and the largest number, both NaN if one is; large arrays in several threads."""
+    parts = np.array_split(numbers.reshape(-1), numbers.size // PART + 1)
+    with ThreadPoolExecutor() if len(parts) > 1 else nullcontext() as pool:
+        each = pool.map if pool else map
+        ends = [*each(np.min, parts), *each(np.max, parts)]
+    return np.array([np.min(ends), np.max(ends)], np.float64)
 
 
 def check_scalars(params: Params) -> None:
@@ -244,7 +267,10 @@ def check(params: Params, dt: Scalar) -> None:
     for name, values in known.items():
         check_field(name, values, step)
     if {"x0", "xb"} <= known.keys():
-        x0, xb = np.broadcast_arrays(on_host(params.x0), on_host(params.xb))
+        x0, xb = (np.asarray(on_host(one)) for one in (params.x0, params.xb))
+        if max(x0.size, xb.size) >= MANY and extremes(x0)[1] < extremes(xb)[0]:
+            return
+        x0, xb = np.broadcast_arrays(x0, xb)
         if (xb <= x0).any():
             first = np.argmax(np.ravel(xb <= x0))
             raise ParamsError("xb", f"{xb.flat[first]:g}", f"greater than x0 = {x0.flat[first]:g}")

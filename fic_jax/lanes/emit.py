@@ -8,10 +8,13 @@ from typing import Any
 
 from llvmlite import ir
 
-from fic_jax.lanes.graph import Branch, Loop, Node, capture, live, ordered
+from fic_jax.lanes.graph import Branch, Loop, Node, Scope, capture, live, ordered
 from fic_jax.lanes.instructions import Instructions
 
 INT32 = ir.IntType(32)
+SHORT = (
+    600  # operations of a loop that may be unrolled: a longer one outgrows the instruction cache
+)
 
 
 class Writer:
@@ -58,7 +61,7 @@ class Writer:
         for phi, value in zip(phis, carried, strict=True):
             self.define(phi, value)
         needed = sorted({n.value for n in (*phis, *results)})
-        together = self.unrolled if loop.length and loop.length % self.unrolled == 0 else 1
+        together = self._together(loop)
         for copy in range(together):
             known = len(self.values)
             self.compute([*(loop.outs[i] for i in needed), *loop.until()])
@@ -82,6 +85,12 @@ class Writer:
         build.position_at_end(after)
         for result, value in zip(results, last, strict=True):
             self.define(result, value)
+
+    def _together(self, loop: Loop) -> int:
+        """Iterations of a loop that are written one after the other, for the registers' sake."""
+        inside = [node for node in self.live if node.scope and _lies_in(node.scope, loop)]
+        divides = loop.length and loop.length % self.unrolled == 0
+        return self.unrolled if divides and len(inside) <= SHORT else 1
 
     def branch(self, branch: Branch) -> None:
         """Write a branch and define its results."""
@@ -118,3 +127,8 @@ class Writer:
         if isinstance(value, ir.Constant):
             return self.instructions.constant(self.instructions.vector(value.type), value.constant)
         return self.spread[node]
+
+
+def _lies_in(scope: Scope | None, loop: Loop) -> bool:
+    """Whether a scope is a loop, or a part of it."""
+    return scope is loop or (scope is not None and _lies_in(scope.outer, loop))
