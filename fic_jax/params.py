@@ -1,7 +1,7 @@
 """A scenario: its numbers (`Params`, a pytree) and its choices (`Model`, static), both checked."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, field
@@ -142,7 +142,9 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "integrator": get_args(Integrator),
 }
 
-MANY, PART = 10_000, 1_000_000  # numbers whose extremes are looked at first, in threads of so many
+# Of many numbers the extremes are looked at first, in parts that a core's cache holds.
+MANY, PART = 10_000, 250_000
+Each = Callable[..., Iterable[Any]]
 _BOUNDS = {
     "finite": lambda a: np.ones(a.shape, bool),
     "positive": lambda a: a > 0,
@@ -188,15 +190,16 @@ def check_model(model: Any) -> None:
     expect("model", model, Model, example)
 
 
-def check_field(name: str, values: Any, dt: float | None = None) -> None:
+def check_field(name: str, values: Any, dt: float | None = None, each: Each = map) -> None:
     """Raise ParamsError unless every value of one field is finite and within its bound.
 
     `period` must also be a whole multiple of `dt`, within 1e-6: float32 rounds 0.01 by 2e-8.
+    `each` is `map`, or that of a pool of threads.
     """
     numbers = on_host(real(name, values, QUANTITIES[name]["unit"]))
     bound = QUANTITIES[name]["bound"]
     if np.size(numbers) >= MANY:
-        numbers = _suspects(name, np.asarray(numbers), bound)
+        numbers = _suspects(name, np.asarray(numbers), bound, each)
     a = np.atleast_1d(np.asarray(numbers, np.float64))
     wanted = bound if bound == "finite" else f"{bound} and finite"
     with np.errstate(invalid="ignore"):
@@ -215,21 +218,19 @@ def check_field(name: str, values: Any, dt: float | None = None) -> None:
             raise ParamsError(name, f"{a[bad][0]:.6g}", wanted)
 
 
-def _suspects(name: str, numbers: np.ndarray, bound: str) -> np.ndarray:
+def _suspects(name: str, numbers: np.ndarray, bound: str, each: Each) -> np.ndarray:
     """The extremes alone where no other number can be wrong, or else all numbers."""
-    low, high = ends = extremes(numbers)
+    low, high = ends = extremes(numbers, each)
     with np.errstate(invalid="ignore"):
         right = np.isfinite(ends).all() and _BOUNDS[bound](ends).all()
     between = (bound == "non-zero" and low < 0 < high) or (name == "period" and low < high)
     return ends if right and not between else numbers
 
 
-def extremes(numbers: np.ndarray) -> np.ndarray:
-    """The least and the largest number, both NaN if one is; large arrays in several threads."""
+def extremes(numbers: np.ndarray, each: Each) -> np.ndarray:
+    """The least and the largest number, both NaN if one is."""
     parts = np.array_split(numbers.reshape(-1), numbers.size // PART + 1)
-    with ThreadPoolExecutor() if len(parts) > 1 else nullcontext() as pool:
-        each = pool.map if pool else map
-        ends = [*each(np.min, parts), *each(np.max, parts)]
+    ends = [*each(lambda part: (np.min(part), np.max(part)), parts)]
     return np.array([np.min(ends), np.max(ends)], np.float64)
 
 
@@ -264,13 +265,21 @@ def check(params: Params, dt: Scalar) -> None:
     check_step(dt)
     known = {n: v for n, v in vars(params).items() if not isinstance(v, jax.core.Tracer)}
     step = None if isinstance(dt, jax.core.Tracer) else float(on_host(dt))
-    for name, values in known.items():
-        check_field(name, values, step)
-    if {"x0", "xb"} <= known.keys():
-        x0, xb = (np.asarray(on_host(one)) for one in (params.x0, params.xb))
-        if max(x0.size, xb.size) >= MANY and extremes(x0)[1] < extremes(xb)[0]:
-            return
-        x0, xb = np.broadcast_arrays(x0, xb)
-        if (xb <= x0).any():
-            first = np.argmax(np.ravel(xb <= x0))
-            raise ParamsError("xb", f"{xb.flat[first]:g}", f"greater than x0 = {x0.flat[first]:g}")
+    large = any(np.size(values) > PART for values in known.values())
+    with ThreadPoolExecutor() if large else nullcontext() as pool:
+        each = pool.map if pool else map
+        for name, values in known.items():
+            check_field(name, values, step, each)
+        if {"x0", "xb"} <= known.keys():
+            x0, xb = (np.asarray(on_host(known[name])) for name in ("x0", "xb"))
+            _check_order(x0, xb, each)
+
+
+def _check_order(x0: np.ndarray, xb: np.ndarray, each: Each) -> None:
+    """Raise ParamsError unless xb is greater than x0."""
+    if max(x0.size, xb.size) >= MANY and extremes(x0, each)[1] < extremes(xb, each)[0]:
+        return
+    x0, xb = np.broadcast_arrays(x0, xb)
+    if (xb <= x0).any():
+        first = np.argmax(np.ravel(xb <= x0))
+        raise ParamsError("xb", f"{xb.flat[first]:g}", f"greater than x0 = {x0.flat[first]:g}")

@@ -11,7 +11,7 @@ from benchmarks.child import BenchError, Child, Missing
 from benchmarks.gpu.card import memory_used
 from benchmarks.gpu.results import missing
 from benchmarks.gpu.session import LeftOut, Session
-from benchmarks.gpu.speed import Contender, timed
+from benchmarks.gpu.speed import Contender, prepared
 from benchmarks.tables import Row, Table
 
 CALLS = 3
@@ -45,8 +45,10 @@ def measure(session: Session) -> None:
 
 def calls(**arguments: Any) -> None:
     """Call the contender a few times (in a child)."""
+    n, steps = arguments.pop("n"), arguments.pop("steps")
+    whole, _ = prepared(Contender(**arguments), n, "random", steps, resident=False)
     for _ in range(CALLS):
-        timed(order="random", **arguments)
+        whole()
 
 
 def tables(records: list[Row]) -> list[Table]:

@@ -153,7 +153,7 @@ def timed(n: int, order: str, steps: int, **contender: Any) -> Row:
     """Seconds of a whole call and of the kernel in it, or else in a call of its own."""
     one = Contender(**contender)
     jax.config.update("jax_enable_x64", one.dtype == "float64")
-    whole, kernel = _prepared(one, n, order, steps)
+    whole, kernel = prepared(one, n, order, steps)
     began = perf_counter()
     whole()
     taken = {"whole_s": perf_counter() - began}
@@ -161,10 +161,13 @@ def timed(n: int, order: str, steps: int, **contender: Any) -> Row:
 
 
 @lru_cache(maxsize=1)
-def _prepared(
-    one: Contender, n: int, order: str, steps: int
+def prepared(
+    one: Contender, n: int, order: str, steps: int, resident: bool = True
 ) -> tuple[Callable[[], Any], Callable[[], float] | None]:
-    """A whole call, and seconds of a kernel whose columns are on the card. Raises Missing."""
+    """A whole call and, if columns may be resident, seconds of a kernel that has them on the card.
+
+    Raises Missing.
+    """
     batch = jax.tree.map(lambda leaf: np.asarray(leaf, one.dtype), scenarios(n, order))
     if not one.four:
         columns = jax.tree.map(lambda leaf: np.array(np.broadcast_to(leaf, n)), batch)
@@ -182,11 +185,11 @@ def _prepared(
     def whole() -> Any:
         return sweep(batch, model=model, dt=DT, n_steps=steps, backend=one.backend)
 
-    if one.backend not in ("ptx", "xla", "pallas"):
-        return whole, None
     whole()  # compiles
-    resident = _launched if one.backend == "ptx" else _resident
-    return whole, resident(_program(one.backend, model, steps, batch), batch, n)
+    if one.backend not in ("ptx", "xla", "pallas") or not resident:
+        return whole, None
+    kernel = _launched if one.backend == "ptx" else _resident
+    return whole, kernel(_program(one.backend, model, steps, batch), batch, n)
 
 
 def _program(backend: Any, model: Model, steps: int, batch: Params) -> Any:

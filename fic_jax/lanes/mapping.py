@@ -93,6 +93,9 @@ class LaneMap:
             for one, row in zip(parts, rows, strict=True):
                 one[order] = row
 
+        if size >= n > 0:
+            part(0)
+            return
         pool = ThreadPoolExecutor(self._threads)
         try:
             for _ in pool.map(part, range(0, n, size)):
