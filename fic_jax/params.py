@@ -142,8 +142,8 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "integrator": get_args(Integrator),
 }
 
-# Of many numbers the extremes are looked at first, in parts that a core's cache holds.
-MANY, PART = 10_000, 250_000
+# Of many numbers the extremes are looked at first, in parts that threads share.
+MANY, PART = 10_000, 1_000_000
 Each = Callable[..., Iterable[Any]]
 _BOUNDS = {
     "finite": lambda a: np.ones(a.shape, bool),
