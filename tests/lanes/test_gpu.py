@@ -1,0 +1,225 @@
+"""Kernels on GPUs, without one: the host's side runs as it is, the PTX is interpreted."""
+
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from fic_jax import METRICS, Model, sweep
+from fic_jax.engine import sweeping
+from fic_jax.lanes import lane_map
+from fic_jax.lanes.objects import fused
+from tests.engine.scenarios import DT, random_batch
+from tests.lanes import card as cards
+from tests.lanes.compiling import ODD, assert_same
+from tests.lanes.programs import N_COLUMNS, program
+from tests.lanes.test_instructions import NUMBERS, pairs
+from tests.lanes.test_while import PROGRAMS as LOOPS
+from tests.torture import many
+
+H100, A100, T4 = (9, 0), (8, 0), (7, 5)
+FLOATS = pytest.mark.parametrize("dtype", [np.float32, np.float64])
+
+
+@pytest.fixture
+def card(monkeypatch):
+    return cards.install(monkeypatch, H100)
+
+
+@pytest.fixture
+def two_cards(monkeypatch):
+    return cards.install(monkeypatch, H100, H100)
+
+
+def assert_the_bits_of_the_cpu(function, *args, **options):
+    """Of a CPU with fused multiply-adds; NaN is any NaN."""
+    if not fused():
+        pytest.skip("this processor has no fused multiply-add")
+    assert_same(lane_map(function, gpus=[0], **options)(*args), lane_map(function)(*args))
+
+
+def polynomial(x, y):
+    return {"value": x * y + 0.5, "above": x > y, "whole": (4.0 * x).astype(jnp.int32)}
+
+
+def columns(n, dtype):
+    rng = np.random.default_rng(n)
+    return rng.normal(size=n).astype(dtype), rng.normal(size=n).astype(dtype)
+
+
+@FLOATS
+@pytest.mark.parametrize("seed", range(many(8, 200)))
+def test_programs_have_the_bits_of_the_cpu(seed, dtype, card):
+    rng = np.random.default_rng(seed)
+    args = rng.normal(scale=2.0, size=(N_COLUMNS, 12)).astype(dtype)
+    args[rng.random(args.shape) < 0.2] = rng.choice(ODD)
+    assert_the_bits_of_the_cpu(program(seed), *args, dtype(0.25))
+
+
+@FLOATS
+@pytest.mark.parametrize("name", LOOPS)
+def test_loops_have_the_bits_of_the_cpu(name, dtype, card):
+    x, y = np.linspace(0.5, 40.0, 9).astype(dtype), np.cos(np.arange(9)).astype(dtype)
+    assert_the_bits_of_the_cpu(LOOPS[name], x, y)
+
+
+@FLOATS
+def test_operations_have_the_bits_of_the_cpu(dtype, card):
+    """For every pair of special numbers, the sign of zero included."""
+    assert_the_bits_of_the_cpu(lambda x, y: [f(x, y) for f in NUMBERS.values()], *pairs(dtype))
+
+
+@FLOATS
+def test_of_two_zeros_a_gpu_takes_the_one_that_the_cpu_takes(dtype, card):
+    """PTX has min and max, but they order -0 before +0."""
+
+    def zeros(x):
+        least, most = jnp.minimum(x, 0.0), jnp.maximum(x, -0.0)
+        return least, most, jnp.maximum(0.0, x), jnp.where(x < 0.0, x, 0.0), jnp.clip(x, 0.0, 1.0)
+
+    assert_the_bits_of_the_cpu(zeros, np.array([0.0, -0.0, 1.0, -1.0, np.nan], dtype))
+
+
+@FLOATS
+def test_denormal_numbers_and_divisions_have_the_bits_of_the_cpu(dtype, card):
+    tiny = np.finfo(dtype).smallest_normal
+    x = np.array([tiny, -tiny / 3, tiny / 1024, 1.0, np.finfo(dtype).max], dtype)
+    y = np.array([3.0, 0.75, 7.0, 1e-30, -0.1], dtype)
+    assert_the_bits_of_the_cpu(
+        lambda x, y: (x / y, 1.0 / y, x * y, x * y - x, jnp.sqrt(abs(x)), jnp.exp(-x)), x, y
+    )
+
+
+@FLOATS
+def test_integers_and_bools(dtype, card):
+    x, n, yes = np.array([0.5, -1.5, 7e9], dtype), np.int32([3, -4, 5]), np.array([True, False, True])
+
+    def mixed(x, n, yes, k):
+        sums = x + n.astype(dtype), n * k.astype(jnp.int32), yes & (n > 0)
+        return *sums, x.astype(jnp.int32), jnp.where(yes, n, -n), k
+
+    assert_the_bits_of_the_cpu(mixed, x, n, yes, np.int64([7, -9, 2**30]))
+    assert_the_bits_of_the_cpu(mixed, x, n, True, np.int64(7))
+
+
+@pytest.mark.parametrize("n", [0, 1, 127, 128, 129])
+def test_any_length(n, card):
+    assert_the_bits_of_the_cpu(polynomial, *columns(n, np.float64))
+    assert [grid for _, grid in card.launches] == ([-(-n // 128)] if n else [])
+
+
+@pytest.mark.parametrize("y", [np.float32(0.5), np.broadcast_to(np.float32(0.5), 500)])
+def test_a_number_for_all_lanes_is_copied_once(y, monkeypatch, card):
+    sizes, copy_from = [], cards.Buffer.copy_from
+
+    def recorded(self, src, *, stream):
+        sizes.append(self.size)
+        copy_from(self, src, stream=stream)
+
+    monkeypatch.setattr(cards.Buffer, "copy_from", recorded)
+    assert_the_bits_of_the_cpu(lambda x, y: x * y, np.linspace(0.0, 1.0, 500, dtype=np.float32), y)
+    assert sizes == [2048 + 256, 2048]  # a column and a number, each aligned; the results
+
+
+def test_scalars_alone_give_scalars(card):
+    assert lane_map(lambda x, y: x * y + 0.25, gpus=[0])(0.5, 3.0) == 1.75
+
+
+@pytest.mark.parametrize("gpus", [[0], [0, 1]])
+def test_parts_threads_and_gpus_change_no_bit(gpus, monkeypatch, two_cards):
+    x, y = columns(150, np.float64)
+    expected = lane_map(polynomial, gpus=[0])(x, y)
+    monkeypatch.setattr("fic_jax.lanes.gpu.LEAST", 16)
+    monkeypatch.setattr("fic_jax.lanes.gpu.MOST", 32)
+    two_cards.launches.clear()
+    assert_same(lane_map(polynomial, gpus=gpus, threads=3)(x, y), expected)
+    assert len(two_cards.launches) == 5
+    assert {gpu for gpu, _ in two_cards.launches} == set(gpus)
+
+
+def test_likeness_changes_no_bit(card):
+    assert_the_bits_of_the_cpu(
+        polynomial, *columns(20, np.float64), likeness=lambda x, y: np.argsort(x)
+    )
+
+
+def test_memory_of_the_gpu_is_used_again(card):
+    mapped = lane_map(polynomial, gpus=[0], threads=1)
+    for n in (10, 3, 10):
+        mapped(*columns(n, np.float64))
+    assert len(card.memory[0]) == 1
+    mapped(*columns(200, np.float64))
+    assert len(card.memory[0]) == 2
+
+
+@pytest.mark.parametrize("place", ["Device.allocate", "Stream.sync", "launch"])
+def test_an_error_of_the_gpu_reaches_the_caller_and_the_next_call_runs(place, monkeypatch, card):
+    x, y = columns(4, np.float64)
+    mapped = lane_map(polynomial, gpus=[0])
+    mapped.prepare(x, y)
+
+    def fail(*_, **__):
+        raise MemoryError("out of memory on the GPU")
+
+    with monkeypatch.context() as patched:
+        if place == "launch":
+            patched.setattr(sys.modules["cuda.core"], "launch", fail)
+        else:
+            patched.setattr(f"tests.lanes.card.{place}", fail)
+        with pytest.raises(MemoryError, match="on the GPU"):
+            mapped(x, y)
+    assert_same(mapped(x, y), lane_map(polynomial, gpus=[0])(x, y))
+
+
+def test_code_is_for_the_oldest_gpu(monkeypatch):
+    card = cards.install(monkeypatch, H100, T4)
+    lane_map(polynomial, gpus=[0, 1])(*columns(3, np.float32))
+    lane_map(polynomial, gpus=[0])(*columns(3, np.float32))
+    assert [p.target for p in card.programs] == ["sm_75", "sm_90"]
+
+
+def test_newer_gpus_take_code_of_one_that_llvm_knows(monkeypatch):
+    card = cards.install(monkeypatch, (13, 7))
+    assert_the_bits_of_the_cpu(polynomial, *columns(3, np.float32))
+    assert [p.target for p in card.programs] == ["sm_90"]
+
+
+def test_buffers_of_jax_are_computed_on_jaxs_stream(card):
+    """Without copies: a kernel gets the addresses that JAX gives."""
+    device = sys.modules["cuda.core"].Device(0)
+    device.set_current()
+    stream = device.create_stream()
+    monkeypatched = cards.Stream.handles
+    monkeypatched[77] = stream
+    x, out = np.array([1.0, 2.0, 3.0]), np.zeros(3)
+    y = np.array(0.5)
+
+    class OnDevice:
+        def __init__(self, array):
+            card.memory[0][array.ctypes.data] = array.reshape(-1).view(np.uint8)
+            self.__cuda_array_interface__ = {"data": (array.ctypes.data, False)}
+
+    mapped = lane_map(lambda x, y: x * y + 0.25, gpus=[0])
+    kernel, _ = mapped._kernel([x, y], jax.tree.structure((0, 0)), np.dtype(float))
+    kernel.launch_from(77, [OnDevice(x), OnDevice(y)], [True, False], [OnDevice(out)], 3)
+    assert not out.any()
+    stream.sync()
+    np.testing.assert_array_equal(out, x * y + 0.25)
+    del monkeypatched[77]
+
+
+@FLOATS
+def test_a_sweep_has_the_bits_of_the_cpu(dtype, card):
+    if not fused():
+        pytest.skip("this processor has no fused multiply-add")
+    batch = random_batch(5, dtype=dtype)
+    options = {"model": Model(), "dt": DT, "n_steps": 20}
+    sweeping._program.cache_clear()
+    got = sweep(batch, backend="ptx", **options)
+    sweeping._program.cache_clear()
+    assert len(card.launches) == 1
+    expected = sweep(batch, backend="lanes", **options)
+    for name in METRICS:
+        np.testing.assert_array_equal(getattr(got, name), getattr(expected, name), err_msg=name)
