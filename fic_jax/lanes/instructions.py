@@ -94,11 +94,20 @@ class Instructions:
 
     def extreme(self, how: str, kind: str, x: Any, y: Any) -> Any:
         """Maximum or minimum; NaN if one is NaN; of two zeros the second one."""
-        one = self.build.select(self.truth(self.compared(how, kind, x, y)), x, y)
+        one = self.select(self.compared(how, kind, x, y), x, y)
         if kind != "f":
             return one
         unknown = self.build.fcmp_unordered("uno", x, x)  # the select gives y where y is NaN
-        return self.build.select(unknown, x, one)
+        return self.select(unknown, x, one)
+
+    def select(self, mask: Any, yes: Any, no: Any) -> Any:
+        """One of two values, bit for bit."""
+        if self.lanes > 1 or yes.type != self.real:
+            return self.build.select(self.truth(mask), yes, no)
+        # as integers: LLVM makes PTX's min or max of a comparison and a choice of numbers, and these
+        # order -0 before +0
+        bits = [self.build.bitcast(value, self.int) for value in (yes, no)]
+        return self.build.bitcast(self.build.select(self.truth(mask), *bits), self.real)
 
     def where(self, mask: Any, value: Any) -> Any:
         """The value in the lanes of the mask, 0 (all bits) in the others."""
@@ -157,7 +166,7 @@ class Instructions:
                 return self.where(condition, yes)
             if _no_bits(if_so):
                 return self.where(self.build.not_(condition), no)
-        return self.build.select(self.truth(condition), yes, no)
+        return self.select(condition, yes, no)
 
     def _fma(self, node: Node, x: Any, y: Any, z: Any) -> Any:
         product, rest = node.value.split()

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from fic_jax import METRICS, Model, sweep
+from fic_jax import Model, sweep
 from fic_jax.engine import sweeping
 from fic_jax.lanes import lane_map
 from fic_jax.lanes.objects import fused
@@ -186,13 +186,12 @@ def test_newer_gpus_take_code_of_one_that_llvm_knows(monkeypatch):
     assert [p.target for p in card.programs] == ["sm_90"]
 
 
-def test_buffers_of_jax_are_computed_on_jaxs_stream(card):
+def test_buffers_of_jax_are_computed_on_jaxs_stream(monkeypatch, card):
     """Without copies: a kernel gets the addresses that JAX gives."""
     device = sys.modules["cuda.core"].Device(0)
     device.set_current()
     stream = device.create_stream()
-    monkeypatched = cards.Stream.handles
-    monkeypatched[77] = stream
+    monkeypatch.setitem(cards.Stream.handles, 77, stream)
     x, out = np.array([1.0, 2.0, 3.0]), np.zeros(3)
     y = np.array(0.5)
 
@@ -207,19 +206,37 @@ def test_buffers_of_jax_are_computed_on_jaxs_stream(card):
     assert not out.any()
     stream.sync()
     np.testing.assert_array_equal(out, x * y + 0.25)
-    del monkeypatched[77]
 
 
 @FLOATS
-def test_a_sweep_has_the_bits_of_the_cpu(dtype, card):
+@pytest.mark.parametrize("model", [Model(), Model(integrator="rk4_events"), Model("effort")], ids=str)
+def test_a_sweep_has_the_bits_of_the_cpu(model, dtype, card, compiled_anew):
+    """One of five scenarios diverges to NaN."""
+    batch = random_batch(5, dtype=dtype)
+    batch.Kenv[2] = 1e9
+    assert_the_bits_of_a_sweep_on_the_cpu(batch, model=model)
+    assert [grid for _, grid in card.launches] == [1]
+
+
+def test_a_sweep_on_two_gpus_with_error_estimates(two_cards, monkeypatch, compiled_anew):
+    monkeypatch.setattr("fic_jax.lanes.gpu.LEAST", 2)
+    monkeypatch.setattr("fic_jax.lanes.gpu.MOST", 2)
+    batch = random_batch(5, dtype=np.float32)
+    assert_the_bits_of_a_sweep_on_the_cpu(batch, error_estimate=True)
+    assert sorted(gpu for gpu, _ in two_cards.launches) in ([0, 0, 1], [0, 1, 1])
+
+
+@pytest.fixture
+def compiled_anew():
+    sweeping._program.cache_clear()
+    yield
+    sweeping._program.cache_clear()
+
+
+def assert_the_bits_of_a_sweep_on_the_cpu(batch, **options):
     if not fused():
         pytest.skip("this processor has no fused multiply-add")
-    batch = random_batch(5, dtype=dtype)
-    options = {"model": Model(), "dt": DT, "n_steps": 20}
-    sweeping._program.cache_clear()
-    got = sweep(batch, backend="ptx", **options)
-    sweeping._program.cache_clear()
-    assert len(card.launches) == 1
-    expected = sweep(batch, backend="lanes", **options)
-    for name in METRICS:
-        np.testing.assert_array_equal(getattr(got, name), getattr(expected, name), err_msg=name)
+    got, expected = (
+        sweep(batch, dt=DT, n_steps=20, backend=backend, **options) for backend in ("ptx", "lanes")
+    )
+    assert_same(got, expected)
