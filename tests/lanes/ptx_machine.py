@@ -111,6 +111,7 @@ WHOLE = {  # the result is cut to its width
     "shl": lambda x, n: x << min(n, 64),
     "shr": lambda x, n: x >> min(n, 64),
     "or": operator.or_,
+    "xor": operator.xor,  # of a sign
     "mov": operator.pos,
     "ld.param": operator.pos,
     "cvta.to.global": operator.pos,  # global addresses are generic ones
@@ -190,7 +191,7 @@ def fused(x, y, z):
     try:
         return np.float64(above / below)  # Python rounds the quotient of integers once
     except OverflowError:
-        return np.float64(math.copysign(math.inf, above))
+        return np.float64(math.inf if above > 0 else -math.inf)
 
 
 def _rounded_to_odd(product, z):

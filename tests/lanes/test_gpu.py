@@ -94,7 +94,11 @@ def test_denormal_numbers_and_divisions_have_the_bits_of_the_cpu(dtype, card):
 
 @FLOATS
 def test_integers_and_bools(dtype, card):
-    x, n, yes = np.array([0.5, -1.5, 7e9], dtype), np.int32([3, -4, 5]), np.array([True, False, True])
+    x, n, yes = (
+        np.array([0.5, -1.5, 7e9], dtype),
+        np.int32([3, -4, 5]),
+        np.array([True, False, True]),
+    )
 
     def mixed(x, n, yes, k):
         sums = x + n.astype(dtype), n * k.astype(jnp.int32), yes & (n > 0)
@@ -209,7 +213,11 @@ def test_buffers_of_jax_are_computed_on_jaxs_stream(monkeypatch, card):
 
 
 @FLOATS
-@pytest.mark.parametrize("model", [Model(), Model(integrator="rk4_events"), Model("effort")], ids=str)
+@pytest.mark.parametrize(
+    "model",
+    [Model(), Model(integrator="rk4_events"), Model("effort")],
+    ids=["rk4", "located", "effort"],
+)
 def test_a_sweep_has_the_bits_of_the_cpu(model, dtype, card, compiled_anew):
     """One of five scenarios diverges to NaN."""
     batch = random_batch(5, dtype=dtype)
