@@ -159,9 +159,9 @@ def _comparison(how, of):
     if of not in FLOATS:
         return COMPARED[how]
     if how == "nan":
-        return lambda x, y: bool(x != x or y != y)
+        return lambda x, y: math.isnan(x) or math.isnan(y)
     unordered, compare = len(how) == 3, COMPARED[how[:2]]
-    return lambda x, y: unordered if x != x or y != y else bool(compare(x, y))
+    return lambda x, y: unordered if math.isnan(x) or math.isnan(y) else bool(compare(x, y))
 
 
 def _conversion(how, of):
@@ -208,8 +208,8 @@ def _rounded_to_odd(product, z):
 
 def lesser(x, y):
     """The lesser float; the other one if one is NaN; of two zeros the negative one."""
-    if x != x or y != y:
-        return y if x != x else x
+    if math.isnan(x) or math.isnan(y):
+        return y if math.isnan(x) else x
     if x == y:
         return x if np.signbit(x) else y
     return min(x, y)
@@ -218,7 +218,7 @@ def lesser(x, y):
 def _saturated(x, bits):
     """The integer part of a float; of NaN 0 in 32 bits, and the least integer in 64."""
     least = -(2 ** (bits - 1))
-    if x != x:
+    if math.isnan(x):
         return 0 if bits == 32 else least % 2**bits
     if np.isinf(x):
         whole = least if x < 0 else -least - 1
