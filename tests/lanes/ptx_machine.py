@@ -81,6 +81,46 @@ def _step(name, operands):
     return "operation", compute, target, readers
 
 
+# ---- Floats --------------------------------------------------------------------------------------
+
+
+def fused(x, y, z):
+    """x y + z, rounded once."""
+    if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
+        return x * y + z
+    if type(x) is np.float32:
+        return np.float32(_rounded_to_odd(float(x) * float(y), float(z)))
+    (a, b), (c, d), (e, f) = (v.as_integer_ratio() for v in (x, y, z))
+    above, below = a * c * f + e * b * d, b * d * f
+    if above == 0:  # the sum of numbers that cancel is +0
+        return x * y + z if x == 0 or y == 0 else np.float64(0.0)
+    try:
+        return np.float64(above / below)  # Python rounds the quotient of integers once
+    except OverflowError:
+        return np.float64(math.inf if above > 0 else -math.inf)
+
+
+def _rounded_to_odd(product, z):
+    """The sum of two doubles; if inexact its odd neighbour, so that a second rounding is right.
+
+    (Boldo and Melquiond 2008.) The product of two singles is exact as a double.
+    """
+    total = product + z
+    rest = Fraction(product) + Fraction(z) - Fraction(total)
+    if rest and not np.float64(total).view(np.int64) & 1:
+        return math.nextafter(total, math.inf if rest > 0 else -math.inf)
+    return total
+
+
+def lesser(x, y):
+    """The lesser float; the other one if one is NaN; of two zeros the negative one."""
+    if math.isnan(x) or math.isnan(y):
+        return y if math.isnan(x) else x
+    if x == y:
+        return x if np.signbit(x) else y
+    return min(x, y)
+
+
 # ---- Operations, by name without type ------------------------------------------------------------
 
 ROUNDED = {  # to nearest, each once
@@ -90,13 +130,13 @@ ROUNDED = {  # to nearest, each once
     "div.rn": operator.truediv,
     "rcp.rn": lambda x: type(x)(1) / x,
     "sqrt.rn": np.sqrt,
-    "fma.rn": lambda x, y, z: fused(x, y, z),
+    "fma.rn": fused,
 }
 EXACT = {
     "neg": operator.neg,
     "abs": abs,
     "copysign": lambda sign_of, x: np.copysign(x, sign_of),
-    "min": lambda x, y: lesser(x, y),
+    "min": lesser,
     "max": lambda x, y: -lesser(-x, -y),
 }
 WHOLE = {  # the result is cut to its width
@@ -176,43 +216,6 @@ def _conversion(how, of):
     if not rounding and {to[0], of[0]} <= {"s", "u"}:
         return _cut(operator.pos, int(to[1:]))
     raise NotImplementedError(f"cvt.{how}.{of}")
-
-
-def fused(x, y, z):
-    """x y + z, rounded once."""
-    if not (np.isfinite(x) and np.isfinite(y) and np.isfinite(z)):
-        return x * y + z
-    if type(x) is np.float32:
-        return np.float32(_rounded_to_odd(float(x) * float(y), float(z)))
-    (a, b), (c, d), (e, f) = (v.as_integer_ratio() for v in (x, y, z))
-    above, below = a * c * f + e * b * d, b * d * f
-    if above == 0:  # the sum of numbers that cancel is +0
-        return x * y + z if x == 0 or y == 0 else np.float64(0.0)
-    try:
-        return np.float64(above / below)  # Python rounds the quotient of integers once
-    except OverflowError:
-        return np.float64(math.inf if above > 0 else -math.inf)
-
-
-def _rounded_to_odd(product, z):
-    """The sum of two doubles; if inexact its odd neighbour, so that a second rounding is right.
-
-    (Boldo and Melquiond 2008.) The product of two singles is exact as a double.
-    """
-    total = product + z
-    rest = Fraction(product) + Fraction(z) - Fraction(total)
-    if rest and not np.float64(total).view(np.int64) & 1:
-        return math.nextafter(total, math.inf if rest > 0 else -math.inf)
-    return total
-
-
-def lesser(x, y):
-    """The lesser float; the other one if one is NaN; of two zeros the negative one."""
-    if math.isnan(x) or math.isnan(y):
-        return y if math.isnan(x) else x
-    if x == y:
-        return x if np.signbit(x) else y
-    return min(x, y)
 
 
 def _saturated(x, bits):

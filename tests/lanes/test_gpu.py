@@ -1,6 +1,7 @@
 """Kernels on GPUs, without one: the host's side runs as it is, the PTX is interpreted."""
 
 import sys
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -190,26 +191,51 @@ def test_newer_gpus_take_code_of_one_that_llvm_knows(monkeypatch):
     assert [p.target for p in card.programs] == ["sm_90"]
 
 
-def test_buffers_of_jax_are_computed_on_jaxs_stream(monkeypatch, card):
-    """Without copies: a kernel gets the addresses that JAX gives."""
+@pytest.fixture
+def a_stream_of_jax(monkeypatch, card):
+    """Callbacks inside jit get buffers on the GPU, and a stream by its handle."""
     device = sys.modules["cuda.core"].Device(0)
     device.set_current()
     stream = device.create_stream()
     monkeypatch.setitem(cards.Stream.handles, 77, stream)
-    x, out = np.array([1.0, 2.0, 3.0]), np.zeros(3)
-    y = np.array(0.5)
 
-    class OnDevice:
-        def __init__(self, array):
-            card.memory[0][array.ctypes.data] = array.reshape(-1).view(np.uint8)
-            self.__cuda_array_interface__ = {"data": (array.ctypes.data, False)}
+    def on_device(array):
+        card.memory[0][array.ctypes.data] = array.reshape(-1).view(np.uint8)
+        interface = {"data": (array.ctypes.data, False)}
+        return SimpleNamespace(__cuda_array_interface__=interface)
 
-    mapped = lane_map(lambda x, y: x * y + 0.25, gpus=[0])
-    kernel, _ = mapped._kernel([x, y], jax.tree.structure((0, 0)), np.dtype(float))
-    kernel.launch_from(77, [OnDevice(x), OnDevice(y)], [True, False], [OnDevice(out)], 3)
-    assert not out.any()
-    stream.sync()
-    np.testing.assert_array_equal(out, x * y + 0.25)
+    def buffer_callback(call, types):
+        def on_host(*columns):
+            outs = [np.zeros(t.shape, t.dtype) for t in types]
+            held = [np.array(column) for column in columns]
+            call(SimpleNamespace(stream=77), [*map(on_device, outs)], *map(on_device, held))
+            assert not any(np.any(out) for out in outs)  # the kernel waits in the stream
+            stream.sync()
+            return outs
+
+        return lambda *columns: jax.pure_callback(on_host, types, *columns)
+
+    monkeypatch.setattr("fic_jax.lanes.mapping.buffer_callback", buffer_callback)
+
+
+@FLOATS
+@pytest.mark.parametrize("n", [0, 1, 130])
+def test_inside_jit_a_kernel_takes_jaxs_buffers_and_stream(n, dtype, card, a_stream_of_jax):
+    """It copies nothing: it gets their addresses."""
+    x, y = columns(n, dtype)
+    mapped = lane_map(polynomial, gpus=[0])
+    inside = jax.jit(lambda x, y: mapped.inside_jit(2.0 * x, y))
+    for other in (y, dtype(0.25)):
+        assert_same(jax.tree.map(np.asarray, inside(x, other)), mapped(dtype(2.0) * x, other))
+    alone = jax.jit(mapped.inside_jit)(dtype(0.5), dtype(0.25))
+    assert alone["value"].shape == ()
+    assert alone["value"] == 0.625
+
+
+def test_a_sweep_inside_jit_has_the_bits_of_one_outside(card, a_stream_of_jax, compiled_anew):
+    batch, options = random_batch(5, dtype=np.float32), {"dt": DT, "n_steps": 20, "backend": "ptx"}
+    inside = jax.jit(lambda batch: sweep(batch, **options))(batch)
+    assert_same(jax.tree.map(np.asarray, inside), sweep(batch, **options))
 
 
 @FLOATS
