@@ -150,8 +150,9 @@ WHOLE = {  # the result is cut to its width
     "max": max,
     "shl": lambda x, n: x << min(n, 64),
     "shr": lambda x, n: x >> min(n, 64),
+    "and": operator.and_,
     "or": operator.or_,
-    "xor": operator.xor,  # of a sign
+    "xor": operator.xor,
     "mov": operator.pos,
     "ld.param": operator.pos,
     "cvta.to.global": operator.pos,  # global addresses are generic ones
