@@ -201,6 +201,8 @@ def _comparison(how, of):
         return COMPARED[how]
     if how == "nan":
         return lambda x, y: math.isnan(x) or math.isnan(y)
+    if how == "num":
+        return lambda x, y: not (math.isnan(x) or math.isnan(y))
     unordered, compare = len(how) == 3, COMPARED[how[:2]]
     return lambda x, y: unordered if math.isnan(x) or math.isnan(y) else bool(compare(x, y))
 
