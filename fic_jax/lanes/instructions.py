@@ -93,17 +93,23 @@ class Instructions:
         return self.mask(compare(how, x, y))
 
     def extreme(self, how: str, kind: str, x: Any, y: Any) -> Any:
-        """Maximum or minimum; NaN if one is NaN; of two zeros the second one.
-
-        In a thread, where it is one instruction for single precision, +0 is more than -0.
-        """
-        if self.lanes == 1 and kind == "f" and self.bits == 32:
-            return self.intrinsic("maximum" if how == ">" else "minimum", x, y)
-        one = self.build.select(self.truth(self.compared(how, kind, x, y)), x, y)
+        """Maximum or minimum; NaN if one is NaN; of two zeros the second one."""
+        one = self.chosen(self.compared(how, kind, x, y), x, y)
         if kind != "f":
             return one
         unknown = self.build.fcmp_unordered("uno", x, x)  # the select gives y where y is NaN
         return self.build.select(unknown, x, one)
+
+    def chosen(self, mask: Any, yes: Any, no: Any) -> Any:
+        """One of two values that the condition compares.
+
+        In a thread floats are chosen as integers: LLVM would make PTX's min or max of a comparison
+        and a choice of floats, and these order -0 before +0.
+        """
+        if self.lanes > 1 or yes.type != self.real:
+            return self.build.select(self.truth(mask), yes, no)
+        bits = [self.build.bitcast(value, self.int) for value in (yes, no)]
+        return self.build.bitcast(self.build.select(self.truth(mask), *bits), self.real)
 
     def where(self, mask: Any, value: Any) -> Any:
         """The value in the lanes of the mask, 0 (all bits) in the others."""
@@ -156,13 +162,15 @@ class Instructions:
 
     def _select_n(self, node: Node, condition: Any, no: Any, yes: Any) -> Any:
         """A blend, or if one arm is zero a bitwise and, which is cheaper."""
-        _, if_not, if_so = node.args
+        compared, if_not, if_so = node.args
         if self.bool.width > 1 and node.kind != "b":
             if _no_bits(if_not):
                 return self.where(condition, yes)
             if _no_bits(if_so):
                 return self.where(self.build.not_(condition), no)
-        return self.build.select(self.truth(condition), yes, no)
+        if {if_not, if_so}.isdisjoint(compared.args):
+            return self.build.select(self.truth(condition), yes, no)
+        return self.chosen(condition, yes, no)
 
     def _fma(self, node: Node, x: Any, y: Any, z: Any) -> Any:
         product, rest = node.value.split()
