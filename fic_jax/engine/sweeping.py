@@ -43,7 +43,6 @@ SLOWER = {  # what a user loses with another one than the first
 }
 STREAMS = 8  # of each GPU: parts that are copied or computed at the same time
 
-NEEDS = {"lanes": ("llvmlite",), "ptx": ("llvmlite", "cuda.core")}
 
 # [N] quantities in the order of QUANTITIES, dt -> results with leaves [N]
 Program = Callable[[Sequence[np.ndarray], np.ndarray], Any]
@@ -197,8 +196,9 @@ def arithmetic(backend: Backend = "auto") -> str:
     It is the same for `ptx` and for `lanes` on a CPU that has fused multiply-adds.
     """
     if backend == "auto":
-        ways = FASTEST.get(jax.local_devices()[0].platform, ("xla",))
-        backend = next(way for way in ways if all(map(_installed, NEEDS.get(way, ()))))
+        devices = tuple(jax.local_devices())
+        ways = FASTEST.get(devices[0].platform, ("xla",))
+        backend = next(way for way in ways if _works(way, devices))
     if backend == "ptx":
         return "lanes fused"
     if backend == "lanes":
@@ -211,11 +211,15 @@ def arithmetic(backend: Backend = "auto") -> str:
     return f"{backend} {'fused' if rest != 0 else 'unfused'}"
 
 
-def _installed(module: str) -> bool:
+def _works(way: Backend, devices: tuple[jax.Device, ...]) -> bool:
+    """Whether a backend of our compiler can compile and run anything here."""
+    if way != "ptx":
+        return way != "lanes" or importlib.util.find_spec("llvmlite") is not None
     try:
-        return importlib.util.find_spec(module) is not None
-    except ModuleNotFoundError:  # the package around it
+        lane_map(lambda x: x + 1.0, gpus=cuda_ordinals(devices))(np.ones(1, np.float32))
+    except Exception:  # what the driver, LLVM and cuda.core raise
         return False
+    return True
 
 
 @lru_cache

@@ -9,6 +9,7 @@ import time
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from itertools import accumulate, cycle
 from typing import Any
@@ -52,9 +53,14 @@ class ThreadKernel:
             return ptx(text, oldest).encode()
 
         code = cached(key and f"{key} {[t.name for t in self.types]}", f"{oldest}", "ptx", build)
-        Device(gpus[0]).set_current()
-        self._code = ObjectCode.from_ptx(code)  # holds the kernel's memory
-        self._kernel = self._code.get_kernel(KERNEL)
+
+        def load() -> tuple[Any, Any]:
+            Device(gpus[0]).set_current()
+            module = ObjectCode.from_ptx(code)
+            return module, module.get_kernel(KERNEL)
+
+        with ThreadPoolExecutor(1) as thread:  # the caller's current GPU stays what it is
+            self._module, self._kernel = thread.submit(load).result()
         jax.monitoring.record_event_duration_secs(COMPILED, time.perf_counter() - began)
 
     def part(self, n: int, threads: int) -> int:
@@ -117,12 +123,8 @@ class ThreadKernel:
                 [stage.address + place.start for place in places] for places in (read, written)
             )
             self.launch(stage.stream, sources, varying, targets, n)
-            pairs = list(zip(targets, outs, strict=True))
-            if len({out.ctypes.data - target for target, out in pairs}) == 1:  # all lanes: as here
-                stage.copy(outs[0].ctypes.data, targets[0], written[-1].stop - written[0].start)
-            else:
-                for target, out in pairs:
-                    stage.copy(out.ctypes.data, target, out.nbytes)
+            for target, out in zip(targets, outs, strict=True):
+                stage.copy(out.ctypes.data, target, out.nbytes)
             stage.stream.sync()
 
 
@@ -167,10 +169,8 @@ def _stage(gpu: int, host: int, device: int) -> Iterator[Stage]:
     stage = idle.pop() if idle else None
     if stage is None or len(stage.host) < host or stage.size < device:
         stage = Stage(gpu, host, device)
-    try:
-        yield stage
-    finally:
-        idle.append(stage)
+    yield stage  # after an error it may still be at work, so no other thread gets it
+    idle.append(stage)
 
 
 def page_locked(size: int) -> np.ndarray:

@@ -246,9 +246,11 @@ def test_the_arithmetic_of_ptx_is_that_of_fused_lanes():
     assert sweeping.arithmetic("ptx") == "lanes fused"
 
 
-def test_the_arithmetic_of_auto_on_a_gpu_is_that_of_the_first_way_installed(monkeypatch):
+def test_the_arithmetic_of_auto_on_a_gpu_is_that_of_the_first_way_that_works(monkeypatch):
     monkeypatch.setattr(jax, "local_devices", lambda: (OnGPU(),))
-    monkeypatch.setattr(sweeping, "_installed", lambda module: True)
+    for fails in (without_cuda_core, with_an_old_driver, without_a_driver, without_nvptx):
+        with monkeypatch.context() as patched:
+            fails(patched)
+            assert sweeping.arithmetic().startswith("pallas "), fails
+    cards.install(monkeypatch, (9, 0))
     assert sweeping.arithmetic() == "lanes fused"
-    monkeypatch.setattr(sweeping, "_installed", lambda module: module != "cuda.core")
-    assert sweeping.arithmetic().startswith("pallas ")

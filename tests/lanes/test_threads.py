@@ -77,6 +77,12 @@ def fused_products_of(roots, names):
     return operations["fma"] + operations["exp"] * of_exp
 
 
+@pytest.fixture(autouse=True)
+def _one_iteration_at_a_time(monkeypatch):
+    """So that the text has each operation of the graph once."""
+    monkeypatch.setattr("fic_jax.lanes.threads.UNROLLED", 1)
+
+
 @pytest.mark.parametrize("dtype", DTYPES, ids=str)
 def test_the_text_is_plain_ieee_arithmetic(dtype):
     scalar = jax.ShapeDtypeStruct((), dtype)

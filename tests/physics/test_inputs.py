@@ -119,7 +119,10 @@ WRONG = [
     (lambda: control(P, init(P).memory, "0", 0.0, 0.0, dt=0.01), "`x` must be a real number"),
     (lambda: control(P, init(P).memory, 0.0, 0.0, None, dt=0.01), "`tau_measured` must be a real"),
     (lambda: force("0.1", P), "`e` must be a real number"),
-    (lambda: sweep(P, backend="gpu", **RUN), "`backend` must be one of auto, lanes, xla, pallas"),
+    (
+        lambda: sweep(P, backend="gpu", **RUN),
+        "`backend` must be one of auto, lanes, ptx, xla, pallas",
+    ),
     (lambda: sweep(P, error_estimate="no", **RUN), "`error_estimate` must be True or False"),
     (lambda: evaluate(Params(K0=THREE), **RUN), "`K0` must be a scalar (sweep takes [N] leaves"),
     (
@@ -130,7 +133,7 @@ WRONG = [
     (lambda: trusted(*sweep(P, error_estimate=True, **RUN), "10"), "`t_end` must be a real number"),
     (lambda: tune_for_throughput("2"), "`devices` must be a whole number, at least 1, but is '2'."),
     (
-        lambda: jax.jit(lambda K0: sweep(Params(K0=K0), **RUN).nmse)(THREE),
+        lambda: jax.vmap(lambda K0: sweep(Params(K0=K0), **RUN).nmse)(THREE),
         "`K0` must be known outside of jit, vmap and grad (inside, use jax.vmap of evaluate)",
     ),
     (
@@ -138,7 +141,7 @@ WRONG = [
         "`K0` must be known outside of jit, vmap and grad (inside, use jax.vmap of rollout)",
     ),
     (
-        lambda: jax.jit(lambda dt: sweep(P, dt=dt, n_steps=5).nmse)(0.01),
+        lambda: jax.vmap(lambda dt: sweep(P, dt=dt, n_steps=5).nmse)(0.01 * THREE),
         "`dt` must be known outside of jit",
     ),
     (
