@@ -53,7 +53,7 @@ def start(device: str | None) -> None:
         if (allowed or names) and device != "cpu":
             why = f"{variables}: {finds}; unset the variable, or change it"
         elif device and device != "cpu":
-            why = f"{finds}; a GPU needs a driver and `pip install 'jax[cuda12]'`"
+            why = f"{finds}; a GPU needs a driver and `pip install 'jax[cuda13]'`"
         else:
             why = f"JAX {jax.__version__} can't start: {' '.join(str(error).split())}"
         raise SweepError(why) from None

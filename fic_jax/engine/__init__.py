@@ -4,7 +4,7 @@
     histories.py    `histories`: the motion of N scenarios as an xarray.Dataset
     xla.py          backend: XLA, in blocks of one fixed shape, over all devices
     pallas.py       backend: the same blocks as one kernel of a GPU
-    (fic_jax.lanes  backend: this package's compiler for the vector registers of a CPU)
+    (fic_jax.lanes  backends lanes and ptx: this package's compiler for CPUs and NVIDIA GPUs)
     tuning.py       `tune_for_throughput`: XLA's flags and the number of cores
 
 A sweep compiles one program per (backend, model, number of steps, dtype, devices). A scenario's

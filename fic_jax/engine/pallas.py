@@ -1,4 +1,4 @@
-"""The backend `pallas`: one GPU kernel for all scenarios, with their state in registers.
+"""The backend `pallas`: one GPU kernel for all scenarios, where `ptx` can't run.
 
 On a GPU `lax.scan` launches several kernels for each plant step (jax#2491). Here one kernel's grid
 runs over blocks of scenarios, one scenario a thread. Both backends trace the same function.

@@ -1,8 +1,9 @@
-"""A compiler that maps scalar JAX functions over columns, on a CPU's vector registers and cores.
+"""A compiler that maps scalar JAX functions over columns, on a CPU's vector registers or on GPUs.
 
 XLA:CPU runs a loop over time as some forty loops over a block of scenarios, through the cache. This
 compiler keeps the state of each scenario in registers from the first iteration to the last, one
-scenario a vector lane, and shares the columns among threads.
+scenario a vector lane, and shares the columns among the cores. On an NVIDIA GPU a thread has one
+scenario.
 
     lane_map(function)(columns, ...)    the public function (mapping.py)
     where_rare(condition, f, other)     a `jnp.where` whose first arm may be skipped (hints.py)
@@ -16,14 +17,19 @@ Each step of the compiler is one file; kernel.py calls them in this order:
     fma.py            pass: FMA contraction, a product and the sum that uses it are rounded once
     branches.py       pass: coherent branches, a vector skips the rare arm of a `where_rare` if no
                       lane needs it
-    emit.py           LLVM IR of the graph: function, loops, branches
+    emit.py           LLVM IR of the graph's nodes, loops and branches
     instructions.py   LLVM IR of one operation: masks, comparisons, conversions, exp
-    objects.py        LLVM compiles for this processor; object files are cached (sources.py)
+    vectors.py        the function around them, for a CPU
+    threads.py        the kernel around them, for a GPU, and its PTX
+    objects.py        LLVM compiles for this processor
+    gpu.py            cuda.core loads PTX and launches it; copies
+    cache.py          the compile cache (sources.py)
 
-Bits depend on the function, its arguments and whether the processor has fused multiply-adds.
-They do not depend on the width of the registers, on neighbours, on threads or on branches.
+Bits depend on the function, its arguments and whether the processor has fused multiply-adds, as all
+GPUs have. They do not depend on the width of the registers, on neighbours, on threads or on
+branches.
 
-The package imports jax, numpy and, late, llvmlite. It imports nothing else of fic_jax.
+The package imports jax, numpy and, late, llvmlite and cuda.core; nothing else of fic_jax.
 """
 
 from fic_jax.lanes.graph import Untranslatable

@@ -21,7 +21,9 @@ from benchmarks.gpu.agreement import UNLIKE, apart, differences
 from benchmarks.gpu.results import Results, missing
 from benchmarks.gpu.session import LeftOut, Plan, Session
 from benchmarks.scenarios import wide
-from fic_jax import CHOICES, METRICS, Metrics, sweep
+from fic_jax import CHOICES, METRICS, Metrics
+from fic_jax.engine import sweeping
+from tests.lanes import card
 
 ROOT = Path(__file__).parents[2]
 SMALL = (
@@ -188,20 +190,18 @@ def test_a_later_result_replaces_an_earlier_one_and_a_cut_line_is_left_out(tmp_p
     assert missing(again) == ["b: not measured: no card"]
 
 
-def test_the_kernel_is_what_the_backend_reports(monkeypatch):
-    """The seconds of all launches of a call; a peer's kernel runs in a call of its own."""
-
-    def launched(*arguments, backend, **options):
-        for _ in range(2):
-            jax.monitoring.record_event_duration_secs(speed.KERNEL, 0.25)
-        return sweep(*arguments, backend="lanes", **options)
-
-    monkeypatch.setattr(speed, "sweep", launched)
+def test_a_kernel_is_timed_by_events_of_its_card(monkeypatch):
+    """On columns that are on the card; a peer's kernel runs in a call of its own."""
+    stand_in = card.install(monkeypatch, (9, 0))
     monkeypatch.setattr(speed, "import_module", lambda name: Twin)
     batch = {"n": 8, "order": "grid", "steps": 4, "name": "", "dtype": "float64"}
-    ours = speed.timed(**batch, backend="ptx", four=True, located=True)
-    assert ours["kernel_s"] == 0.5 and ours["whole_s"] > 0
+    speed.prepared.cache_clear()
+    ours = speed.timed(**batch, backend="ptx", four=True)
+    assert ours["kernel_s"] == 0.25 and ours["whole_s"] > 0
+    assert len(stand_in.launches) == 4  # to compile, whole, to load the kernel, to time it
     assert speed.timed(**batch, peer="cuda")["kernel_s"] == 0.125
+    speed.prepared.cache_clear()
+    sweeping._program.cache_clear()
 
 
 class Twin:

@@ -36,6 +36,7 @@ class Card:
             "Stream": type("Stream", (Stream,), {"card": self}),
             "LegacyPinnedMemoryResource": LegacyPinnedMemoryResource,
             "LaunchConfig": LaunchConfig,
+            "EventOptions": EventOptions,
             "Buffer": Buffer,
             "launch": launch,
         }.items():
@@ -88,6 +89,10 @@ class Device:
         self._expect_current()
         return Stream.of(self)
 
+    def create_event(self, options=None):
+        self._expect_current()
+        return Event(options)
+
     def allocate(self, size, *, stream):
         self._expect_current()
         assert isinstance(stream, Stream) and stream.device.device_id == self.device_id
@@ -115,10 +120,43 @@ class Stream:
             raise TypeError("an integer is required")
         return cls.handles[handle]
 
+    def record(self, event=None):
+        assert isinstance(event, Event)
+        event.stream = self
+        self.waiting.append(event.happen)
+        return event
+
     def sync(self):
         waiting, self.waiting = self.waiting, []
         for work in waiting:
             work()
+
+
+class EventOptions:
+    def __init__(self, *, timing_enabled=False):
+        self.timing_enabled = timing_enabled
+
+
+class Event:
+    """Its time is the number of things that its stream has done."""
+
+    done = 0
+
+    def __init__(self, options):
+        self.timed, self.time = bool(options and options.timing_enabled), None
+
+    def happen(self):
+        Event.done += 1
+        self.time = Event.done
+
+    def sync(self):
+        self.stream.sync()
+
+    def __sub__(self, earlier):
+        """Milliseconds."""
+        if not (self.timed and earlier.timed):
+            raise RuntimeError("Both Events must be created with timing enabled")
+        return 250.0 * (self.time - earlier.time)
 
 
 class Handle:
