@@ -48,8 +48,10 @@ class Grid:
                 wanted = f"a number of cells that makes at most {most:,} {what}"
                 raise SweepError(f"{self.sweep.name}: `--chunk` must be {wanted}, not {n:,}")
         if self.shard and self.shard.n > self.n_blocks:
-            most = f"N must be at most {self.n_blocks:,}, the number of blocks of {self.sweep.name}"
-            raise SweepError(f"--shard {self.shard}: {most}; a smaller --chunk makes more")
+            limit = (
+                f"N must be at most {self.n_blocks:,}, the number of blocks of {self.sweep.name}"
+            )
+            raise SweepError(f"--shard {self.shard}: {limit}; a smaller --chunk makes more")
 
     @cached_property
     def dims(self) -> dict[str, int]:
