@@ -56,7 +56,7 @@ def locked(folder: Path) -> Iterator[Lock]:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise _changing(folder, descriptor) from None
+            raise _in_use(folder, descriptor) from None
         except OSError as error:
             if error.errno not in UNSUPPORTED:
                 raise
@@ -84,7 +84,7 @@ def unchanged(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise _changing(folder, descriptor) from None
+            raise _in_use(folder, descriptor) from None
         except OSError as error:
             if error.errno not in UNSUPPORTED:
                 raise
@@ -94,10 +94,15 @@ def unchanged(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _changing(folder: Path, descriptor: int) -> SweepError:
+def _in_use(folder: Path, descriptor: int) -> SweepError:
+    """The refusal of a folder that another process has locked."""
     note = _read(descriptor)
-    who = printable(f"process {note.get('pid', '?')} on {note.get('host', '?')}")
-    return SweepError(f"{folder}: is being changed by {who}; wait for it to end")
+    # a process that only reads leaves no note
+    what = "changed" if note else "merged"
+    who = printable(
+        f"process {note.get('pid', '?')} on {note.get('host', '?')}" if note else "another process"
+    )
+    return SweepError(f"{folder}: is being {what} by {who}; wait for it to end")
 
 
 def _write(descriptor: int, block: int | None) -> None:

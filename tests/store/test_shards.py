@@ -285,7 +285,9 @@ def test_a_part_can_not_change_while_it_is_merged(stores, quick, monkeypatch):
         def during(file, target):
             if file == parts[0] / "status" / "c.0":
                 tried.append(file)
-                with pytest.raises(SweepError, match="is being changed by"):
+                with pytest.raises(
+                    SweepError, match="is being merged by another process; wait for it"
+                ):
                     run(open_store(parts[0]))
             take(file, target)
 
