@@ -14,13 +14,14 @@ import numpy as np
 from fic_jax import Metrics, Params, sweep, tune_for_throughput
 from sweeps import compile_cache, devices
 from sweeps.plan.grid import Block, Grid, cells_of
+from sweeps.plan.shard import Shard
 from sweeps.provenance import differences, provenance
 from sweeps.spec.mistakes import SweepError
 from sweeps.spec.rules import out_of_bounds
 from sweeps.spec.types import Sweep
 from sweeps.store.commit import Values, Writer, no_values, now, read_block, values_of, writing
 from sweeps.store.create import check_new, create
-from sweeps.store.format import DIVERGED, FAILED, OK
+from sweeps.store.format import DIVERGED, FAILED, OF_RUN, OK, attributes
 from sweeps.store.ledger import DONE, SET_ASIDE, Row
 from sweeps.store.lock import Lock
 from sweeps.store.opening import Counts, Store, open_store
@@ -36,7 +37,7 @@ MEASURED_LEAST = 512  # scenarios, so that no device has idle lanes
 class Progress:
     """The state of a run, before its first block and after each that is on the disk."""
 
-    cells: int  # of the whole sweep
+    cells: int  # of the whole sweep, or of the shard
     done: int  # cells of finished blocks
     ran: int = 0  # cells done by this run
     diverged: int = 0  # among them
@@ -77,18 +78,40 @@ def configure(precision: int, device: str | None = None) -> None:
     devices.start(device)
 
 
-def check_start(path: Path, plan: Sweep, chunk: int | None, precision: int) -> None:
+def check_start(
+    path: Path, plan: Sweep, chunk: int | None, precision: int, shard: Shard | None = None
+) -> None:
     """Raise SweepError if `start` would: for values, for a path in use, for a small disk."""
     for problem in out_of_bounds(plan, f"float{precision}"):
         raise SweepError(f"{plan.name} in {precision} bits: {problem}")
-    check_new(path, Grid(plan, chunk), f"float{precision}")
+    check_new(path, Grid(plan, chunk, shard), f"float{precision}")
 
 
-def start(path: Path, plan: Sweep, chunk: int | None, precision: int) -> Store:
-    """Make the store of a new run. Raises SweepError if it can't be."""
-    check_start(path, plan, chunk, precision)
-    attributes = provenance(precision) | {"start": now()}
-    return create(path, Grid(plan, chunk), attributes)
+def start(
+    path: Path, plan: Sweep, chunk: int | None, precision: int, shard: Shard | None = None
+) -> Store:
+    """Make the store of a new run, of a whole sweep or a shard. Raises SweepError if it can't."""
+    check_start(path, plan, chunk, precision, shard)
+    return create(path, Grid(plan, chunk, shard), provenance(precision) | {"start": now()})
+
+
+def start_or_reopen(
+    path: Path, plan: Sweep, chunk: int | None, precision: int, shard: Shard
+) -> Store:
+    """`start` a shard or, if its store exists, `reopen` it: a job array repeats its command.
+
+    Raises SweepError as they do, and if `path` has another shard or another sweep.
+    """
+    if not (path / "zarr.json").is_file():
+        return start(path, plan, chunk, precision, shard)
+    found, wanted = open_store(path), attributes(Grid(plan, chunk, shard))
+    other = [word for key, word in OF_RUN.items() if found.group.attrs[key] != wanted[key]]
+    other += ["--shard"] if found.grid.shard != shard else []
+    if other:
+        raise SweepError(f"{path}: was begun with another {', '.join(other)}; --out names another")
+    store = reopen(path, precision)
+    store.check_done()
+    return store
 
 
 def reopen(path: Path, precision: int) -> Store:
@@ -117,7 +140,7 @@ def run(store: Store, on_progress: OnProgress, only: Collection[int] | None = No
         counts = Counts.of(store)
         pending = [i for i in counts.pending if only is None or i in only]
         todo = sum(cells_of(grid.block(index)) for index in counts.pending)
-        progress = Progress(grid.cells, grid.cells - todo)
+        progress = Progress(grid.own_cells, grid.own_cells - todo)
         on_progress(progress)
         # The block in which the last process was killed may be what killed it: it comes last.
         pending.sort(key=lambda index: index == lock.killed_in)
@@ -126,7 +149,7 @@ def run(store: Store, on_progress: OnProgress, only: Collection[int] | None = No
                 n, known = cells_of(grid.block(row.block)), counts.unfinished.get(row.block)
                 progress = progress.after(row, n, known, when - began)
                 on_progress(progress)
-        if progress.done == grid.cells and "end" not in store.group.attrs:
+        if progress.done == progress.cells and "end" not in store.group.attrs:
             writer.end()
     return progress
 

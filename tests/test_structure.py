@@ -62,6 +62,7 @@ ROOMS = {
     "sweeps.devices": SPEC,
     "sweeps.provenance": {*SPEC, "sweeps"},  # sweeps: where the sources are
     "sweeps.runner": RUNNER,
+    "sweeps.merge": {*STORE, "sweeps.provenance"},
     "sweeps.export": STORE,
     "sweeps.paper": {*RUNNER, "sweeps.paper", "sweeps"},  # sweeps: where its library is
     "figures": {*STORE, "figures"},
@@ -74,6 +75,7 @@ ROOMS = {
         *RUNNER,
         "sweeps",
         "sweeps.export",
+        "sweeps.merge",
         "sweeps.paper",
         "benchmarks",
         "sweeps.cli",

@@ -1,5 +1,6 @@
 """What the commands print, as lines of text."""
 
+import json
 import math
 import textwrap
 from collections.abc import Iterator, Sequence
@@ -32,6 +33,7 @@ def plan_lines(grid: Grid, dtype: str) -> list[str]:
     return [
         f"{_dims(grid)} = {counted(grid.cells, 'scenario')} of {grid.sweep.n_steps:,} steps",
         f"{counted(grid.n_blocks, 'block')} of up to {shape}",
+        *_shard(grid),
         f"{_bytes(size(grid, dtype))} on disk before compression, {dtype}{estimates}",
     ]
 
@@ -67,7 +69,7 @@ def expectation(grid: Grid, compiling: float, rate: float) -> str:
     """How long a sweep will take, from seconds to compile a model and scenarios a second."""
     choices = grid.sweep.model.values()
     models = math.prod(len(choice) for choice in choices if isinstance(choice, list))
-    seconds = models * compiling + grid.cells / rate
+    seconds = models * compiling + grid.own_cells / rate
     steps = rate * grid.sweep.n_steps / 1e6
     speed = f"{rate:,.0f} scenarios/s ({steps:,.{0 if steps >= 10 else 1}f} M steps/s)"
     return f"about {_duration(seconds)} at {speed} on this machine, measured just now"
@@ -76,22 +78,31 @@ def expectation(grid: Grid, compiling: float, rate: float) -> str:
 def status_lines(store: Store) -> list[str]:
     """How far a store is, and which program made it on which device."""
     counts, attrs, grid = Counts.of(store), store.group.attrs.asdict(), store.grid
+    cells = grid.own_cells
     diverged = _diverged(store) if counts.cells["diverged"] else ()
     made_by = f"fic_jax {attrs['fic_jax']} ({attrs['revision']}), jax {attrs['jax']}"
     return [
         f"{store.path}: {grid.sweep.name}, {_dims(grid)}",
-        f"done      {counts.done:,} of {grid.cells:,} cells ({_percent(counts.done, grid.cells)})",
+        *_shard(grid),
+        f"done      {counts.done:,} of {cells:,} cells ({_percent(counts.done, cells)})",
         *(f"  {name:8}{count:>14,}" for name, count in counts.cells.items()),
         *(f"diverged  {scenario}" for scenario in diverged),
         *(f"failed    {block}" for block in _set_aside(store, counts.set_aside)),
         *_trusted(counts),
         f"metrics   {DEFINITIONS[store.definition]}",
         *held_lines(grid.sweep),
-        f"blocks    {len(counts.pending):,} of {grid.n_blocks:,} to do",
+        f"blocks    {len(counts.pending):,} of {len(grid.own):,} to do",
         printable(f"began     {attrs['start']}, ended {attrs.get('end', 'not yet')}"),
         printable(f"made by   {made_by}"),
         printable(f"on        {attrs['device']}, {attrs['dtype']}"),
     ]
+
+
+def _shard(grid: Grid) -> Iterator[str]:
+    """Which shard of a sweep this is, if it is one."""
+    if grid.shard:
+        size = f"{counted(grid.own_cells, 'scenario')} in {counted(len(grid.own), 'block')}"
+        yield f"{'shard':{HEAD}}{grid.shard}, {size}"
 
 
 def _set_aside(store: Store, rows: Sequence[Row]) -> Iterator[str]:
@@ -166,9 +177,18 @@ def summary(store: Store, result: Progress) -> str:
     return "\n".join([f"{store.path}: {first}", *_trusted(Counts.of(store))])
 
 
+def merged(store: Store) -> str:
+    """What a merge has made."""
+    parts = counted(len(json.loads(str(store.group.attrs["parts"]))), "part")
+    counts = Counts.of(store)
+    rest = f"; {counted(len(counts.pending), 'block')} still to run: {_resume(store)} does"
+    done = f"{store.path}: {counted(counts.done, 'scenario')} of {parts}"
+    return done + (rest if counts.pending else "")
+
+
 def failed_blocks(store: Store, result: Progress) -> Iterator[str]:
     """Which blocks a run could not compute, and how to try again."""
-    blocks = f"{counted(len(result.set_aside), 'block')} of {store.grid.n_blocks:,}"
+    blocks = f"{counted(len(result.set_aside), 'block')} of {len(store.grid.own):,}"
     yield f"{blocks} failed and set aside; {_resume(store)} tries again"
     yield from _set_aside(store, result.set_aside)
 
@@ -200,7 +220,7 @@ def interrupted(store: Store, error: BaseException) -> str:
     why = "interrupted" if isinstance(error, KeyboardInterrupt) else f"failed: {_reason(error)}"
     rest = f"{_resume(store)} does the rest"
     try:
-        done, all_ = Counts.of(store).done, store.grid.cells
+        done, all_ = Counts.of(store).done, store.grid.own_cells
     except (OSError, SweepError):  # the folder is gone, or has become unreadable
         return f"{why}; what was finished is kept if the folder is, {rest}"
     return f"{why}; {done:,} of {counted(all_, 'scenario')} are kept, {rest}"

@@ -108,7 +108,7 @@ def export(
     from sweeps.export import SUFFIX, files, write
     from sweeps.spec.mistakes import command
     from sweeps.store.format import NOT_RUN
-    from sweeps.store.opening import dataset
+    from sweeps.store.opening import dataset, open_store
 
     target = out or Path(_store_name(path) + SUFFIX[to.value])
     for file in files(target, to.value):
@@ -124,7 +124,11 @@ def export(
             raise typer.Exit(1) from None
     names = " and ".join(map(str, files(target, to.value)))
     print(f"wrote {names}, {counted(rows, 'scenario')}{_old_definition(data)}")
-    left = int((data["status"] == NOT_RUN).sum())
+    grid = open_store(path).grid
+    others = grid.cells - grid.own_cells
+    left = int((data["status"] == NOT_RUN).sum()) - others
+    if others:
+        complain(f"warning: {others:,} of them are of other shards than {grid.shard}")
     if left:
         complain(f"warning: {left:,} of them were not run; {command('resume', path)} runs them")
 

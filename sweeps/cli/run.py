@@ -15,6 +15,7 @@ from sweeps.cli.process import importing
 from sweeps.cli.progress import run_with_progress
 
 if TYPE_CHECKING:
+    from sweeps.plan.shard import Shard
     from sweeps.spec.types import Sweep
     from sweeps.store.opening import Store
 
@@ -53,6 +54,10 @@ def run(
     error_estimate: Annotated[
         bool, typer.Option("--error-estimate", help="also store the error of every metric")
     ] = False,
+    shard: Annotated[
+        str | None,
+        typer.Option(metavar="K/N", help="every N-th block, into NAME.K-of-N.zarr, new or begun"),
+    ] = None,
 ) -> None:
     """Run a sweep into a new store."""
     stop = interruption.stop_on_signals()
@@ -60,21 +65,28 @@ def run(
     overrides += [f"precision={precision}"] if precision else []
     with importing():
         from sweeps import runner
+        from sweeps.plan.shard import Shard
         from sweeps.spec.overrides import refuse_repeated
 
+    share = Shard.parse(shard) if shard is not None else None
     refuse_repeated(set_ or [])
     sweep = read(what, overrides)
     runner.configure(sweep.bits, device and device.value)
     path = out or Path(f"{sweep.name}.zarr")
+    path = share.part(path) if share else path
     if dry_run:
-        _print_plan(sweep, chunk)
+        _print_plan(sweep, chunk, share)
         warn(sweep)
         if os.path.lexists(path):  # one may ask for the size before one removes it
-            complain(f"warning: {path} exists already: `run` needs another --out")
+            then = "continues it" if share else "needs another --out"
+            complain(f"warning: {path} exists already: `run` {then}")
         else:
-            runner.check_start(path, sweep, chunk, sweep.bits)
+            runner.check_start(path, sweep, chunk, sweep.bits, share)
         return
-    store = runner.start(path, sweep, chunk, sweep.bits)
+    if share:
+        store = runner.start_or_reopen(path, sweep, chunk, sweep.bits, share)
+    else:
+        store = runner.start(path, sweep, chunk, sweep.bits)
     warn(sweep)  # a refused sweep needs no warning
     _finish(store, stop)
 
@@ -126,12 +138,12 @@ def reopen(path: Path) -> "Store":
     return runner.reopen(path, precision)
 
 
-def _print_plan(sweep: "Sweep", chunk: int | None) -> None:
+def _print_plan(sweep: "Sweep", chunk: int | None, shard: "Shard | None") -> None:
     from sweeps.cli.messages import expectation, held_lines, plan_lines
     from sweeps.plan.grid import Grid
     from sweeps.runner import measure
 
-    grid, dtype = Grid(sweep, chunk), f"float{sweep.bits}"
+    grid, dtype = Grid(sweep, chunk, shard), f"float{sweep.bits}"
     for line in (*plan_lines(grid, dtype), *held_lines(sweep)):
         print(line)
     print(expectation(grid, *measure(grid, dtype)))

@@ -10,6 +10,7 @@ import numpy as np
 
 from fic_jax import QUANTITIES, Model, Params
 from sweeps.plan.random_design import draw
+from sweeps.plan.shard import Shard
 from sweeps.spec.mistakes import SweepError
 from sweeps.spec.types import Sweep
 
@@ -30,11 +31,13 @@ class Grid:
     """The cells of a sweep, in blocks of at most `chunk` cells.
 
     A cell is one scenario's place in the product of the sweep's dimensions. Raises SweepError if
-    `chunk` makes too many blocks for a ledger or a block too large for memory.
+    `chunk` makes too many blocks for a ledger or a block too large for memory, or if there are more
+    shards than blocks.
     """
 
     sweep: Sweep
     chunk: int | None = None  # most cells of a block; None: as many as take a second or two
+    shard: Shard | None = None  # whose blocks are run; None: all are
 
     def __post_init__(self) -> None:
         for what, n, most in (
@@ -44,6 +47,11 @@ class Grid:
             if n > most:
                 wanted = f"a number of cells that makes at most {most:,} {what}"
                 raise SweepError(f"{self.sweep.name}: `--chunk` must be {wanted}, not {n:,}")
+        if self.shard and self.shard.n > self.n_blocks:
+            limit = (
+                f"N must be at most {self.n_blocks:,}, the number of blocks of {self.sweep.name}"
+            )
+            raise SweepError(f"--shard {self.shard}: {limit}; a smaller --chunk makes more")
 
     @cached_property
     def dims(self) -> dict[str, int]:
@@ -91,6 +99,22 @@ class Grid:
     @property
     def n_blocks(self) -> int:
         return math.prod(self.counts)
+
+    @property
+    def own(self) -> range:
+        """The numbers of the blocks to run."""
+        return self.shard.blocks(self.n_blocks) if self.shard else range(self.n_blocks)
+
+    @cached_property
+    def own_cells(self) -> int:
+        """Number of scenarios to run."""
+        if not self.shard:
+            return self.cells
+        dims = zip(self.shape, self.block_shape, strict=True)
+        cells = np.ones(1, np.int64)  # of each block
+        for n, side in dims:
+            cells = np.outer(cells, np.diff(np.append(np.arange(0, n, side), n))).ravel()
+        return int(cells[self.own.start :: self.own.step].sum())
 
     def place(self, index: int) -> tuple[int, ...]:
         """A block's index along each dimension; along the last one, numbers are consecutive."""

@@ -3,7 +3,7 @@
 import os
 import shutil
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -24,10 +24,15 @@ from sweeps.store.place import before_extension, place_of_new, store_around
 def create(path: Path, grid: Grid, made_by: Mapping[str, Any]) -> Store:
     """Make an empty store, with `made_by` among its attributes. Raises SweepError if it can't."""
     path = check_new(path, grid, made_by["dtype"])
+    return build(path, lambda partial: write_empty(partial, grid, made_by))
+
+
+def build(path: Path, write: Callable[[Path], None]) -> Store:
+    """Make a store with what `write` puts into the folder that it gets. Raises SweepError."""
     partial, parent = partial_of(path), _existing_parent(path)
     try:
         with building(partial):
-            write_empty(partial, grid, made_by)
+            write(partial)
             sync_tree(partial)
             refuse_existing(path)
             partial.rename(path)
@@ -84,7 +89,7 @@ def refuse_small_disk(path: Path, grid: Grid, dtype: str) -> None:
     free = shutil.disk_usage(parent).free
     if needed > free:
         raise SweepError(
-            f"{path}: the sweep needs up to {needed / 1e9:.3g} GB for {grid.cells:,} cells, "
+            f"{path}: the sweep needs up to {needed / 1e9:.3g} GB for {grid.own_cells:,} cells, "
             f"but {parent} has {free / 1e9:.3g} GB free"
         )
 

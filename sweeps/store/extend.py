@@ -16,7 +16,7 @@ import numpy as np
 
 from fic_jax import QUANTITIES
 from sweeps.plan.grid import Grid, shape_of
-from sweeps.spec.mistakes import SweepError
+from sweeps.spec.mistakes import SweepError, command
 from sweeps.spec.types import Sweep
 from sweeps.store import fsync
 from sweeps.store.commit import Values, Writer, no_values, now, writing
@@ -41,6 +41,9 @@ def extend(store: Store, plan: Sweep, source: str) -> Store:
     The larger store is built beside it, and takes its name once all of it is on the disk. Raises
     SweepError, with a line for each reason, if `plan` (from the file `source`) is not larger.
     """
+    if store.grid.shard:
+        whole = f"{command('merge', '--help')} says how all become one store, which can be extended"
+        raise SweepError(f"{store.path}: is shard {store.grid.shard}; {whole}")
     plan = _settled(store.grid.sweep, plan)
     problems = list(_differences(store, plan))
     grid = Grid(plan, store.grid.chunk)

@@ -12,6 +12,9 @@ from fic_jax import METRICS, QUANTITIES, TRUST
 from sweeps.plan.grid import Grid
 from sweeps.spec.types import STORED, Sweep
 
+# attributes that say which cells and blocks a store has -> what of a command line says it
+OF_RUN = {"sweep": "sweep", "error_estimate": "--error-estimate", "block_cells": "--chunk"}
+
 FORMAT = 3  # raise it with a change that older programs can't read
 DEFINITION = "motion"  # of the metrics that this program computes
 DEFINITIONS = {  # name in a store -> what its metrics are; formats 1 and 2 have no name in them
@@ -145,6 +148,7 @@ def attributes(grid: Grid) -> dict[str, Any]:
         "metrics_definition": DEFINITION,
         "metrics_definition_meaning": DEFINITIONS[DEFINITION],
     }
+    record |= {"shard": str(grid.shard)} if grid.shard else {}
     return record | ({"error_estimate_meaning": ESTIMATE} if sweep.error_estimate else {})
 
 
@@ -153,7 +157,7 @@ def size(grid: Grid, dtype: str) -> int:
     names = variable_names(grid.sweep)
     cell = sum(1 if name in FLAGS else np.dtype(dtype).itemsize for name in names)
     coordinates = sum(n * 8 * len(grid.coordinates(d, slice(0, 1))) for d, n in grid.dims.items())
-    return grid.cells * cell + coordinates
+    return grid.own_cells * cell + coordinates
 
 
 def sha256(record: str) -> str:

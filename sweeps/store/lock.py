@@ -56,9 +56,7 @@ def locked(folder: Path) -> Iterator[Lock]:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            note = _read(descriptor)
-            who = printable(f"process {note.get('pid', '?')} on {note.get('host', '?')}")
-            raise SweepError(f"{folder}: is being changed by {who}; wait for it to end") from None
+            raise _in_use(folder, descriptor) from None
         except OSError as error:
             if error.errno not in UNSUPPORTED:
                 raise
@@ -72,6 +70,39 @@ def locked(folder: Path) -> Iterator[Lock]:
                 os.ftruncate(descriptor, 0)
     finally:
         os.close(descriptor)
+
+
+@contextmanager
+def unchanged(folder: Path) -> Iterator[None]:
+    """Keep other processes from changing a store that this one only reads.
+
+    Raises SweepError if one does already, OSError if the lock can't be read. Where the file system
+    has no locks, nobody knows.
+    """
+    descriptor = os.open(folder / LOCK, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise _in_use(folder, descriptor) from None
+        except OSError as error:
+            if error.errno not in UNSUPPORTED:
+                raise
+            warn_without_locks(error)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _in_use(folder: Path, descriptor: int) -> SweepError:
+    """The refusal of a folder that another process has locked."""
+    note = _read(descriptor)
+    # a process that only reads leaves no note
+    what = "changed" if note else "merged"
+    who = printable(
+        f"process {note.get('pid', '?')} on {note.get('host', '?')}" if note else "another process"
+    )
+    return SweepError(f"{folder}: is being {what} by {who}; wait for it to end")
 
 
 def _write(descriptor: int, block: int | None) -> None:

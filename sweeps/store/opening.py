@@ -14,6 +14,7 @@ import numpy as np
 import zarr
 
 from sweeps.plan.grid import Grid
+from sweeps.plan.shard import Shard
 from sweeps.spec.mistakes import SweepError, command, printable
 from sweeps.spec.overrides import override
 from sweeps.spec.reading import validate
@@ -91,7 +92,7 @@ class Store:
             return list(self._rows_of_format_1())
         rows = self._read(self.ledger.rows)
         for row in rows:
-            if not 0 <= row.block < self.grid.n_blocks or set(row.files) - set(self.variables):
+            if row.block not in self.grid.own or set(row.files) - set(self.variables):
                 raise self.damaged(f"{LEDGER} is damaged: it has a block {row.block}")
         return rows
 
@@ -163,13 +164,15 @@ class Store:
                 half = f"a power cut left blocks half written; {command('resume', self.path)}"
                 raise SweepError(f"{self.path}: {half} writes them")
 
-    def check_metadata(self) -> None:
-        """Raise SweepError if metadata or coordinates changed since they were written."""
+    def check_metadata(self) -> list[MetadataFile]:
+        """The files of metadata and coordinates; raises SweepError if one was changed."""
         if self.ledger is None:
-            return
-        for file in self._read(self.ledger.metadata):
+            return []
+        files = self._read(self.ledger.metadata)
+        for file in files:
             if not as_written(self.path, file):
                 raise self.damaged(f"{file.path} is not as it was written")
+        return files
 
     def _read(self, query: Callable[[], Iterable[Entry]]) -> list[Entry]:
         """Entries of the ledger. Raises SweepError if it is damaged."""
@@ -200,7 +203,7 @@ class Store:
 class Counts:
     """How far a store is."""
 
-    cells: dict[str, int]  # by status
+    cells: dict[str, int]  # by status; of a shard, its own
     trusted: dict[str, int]  # by metric; empty without error estimates
     pending: list[int]  # blocks to run, in storage order
     set_aside: list[Row]
@@ -216,7 +219,7 @@ class Counts:
         """Count the rows of a store's ledger. Raises SweepError if the ledger is damaged."""
         rows = store.rows()
         cells = {name: sum(getattr(row, name) for row in rows) for name in list(STATUS)[OK:]}
-        cells = {"not run": store.grid.cells - sum(cells.values())} | cells
+        cells = {"not run": store.grid.own_cells - sum(cells.values())} | cells
         done = {row.block for row in rows if row.outcome == DONE}
         return cls(
             cells,
@@ -224,7 +227,7 @@ class Counts:
                 metric: sum(_trusted(row, metric) for row in rows)
                 for metric in store_format.judgements(store.grid.sweep, store.form).values()
             },
-            pending=[i for i in range(store.grid.n_blocks) if i not in done],
+            pending=[i for i in store.grid.own if i not in done],
             set_aside=[row for row in rows if row.outcome == SET_ASIDE],
             unfinished={row.block: row for row in rows if row.outcome != DONE},
         )
@@ -282,7 +285,8 @@ def _read(path: Path) -> Store:
     if chunk < 1 or attributes["dtype"] not in ("float32", "float64"):
         raise ValueError(f"block_cells {chunk}, dtype {attributes['dtype']}")
     ledger = Ledger(path / LEDGER) if written > 1 else None
-    store = Store(path, Grid(sweep, chunk), group, ledger)
+    shard = Shard.parse(str(attributes["shard"])) if "shard" in attributes else None
+    store = Store(path, Grid(sweep, chunk, shard), group, ledger)
     for array in store_format.arrays(store.grid, store.dtype, store.form):
         if not _matches(store, array):
             raise ValueError(f"its variable {array['name']} is not the one of its sweep")

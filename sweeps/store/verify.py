@@ -39,7 +39,7 @@ class Report:
     blocks: int | None  # None: unknown until the metadata is repaired
     files: int
     problems: tuple[Problem, ...]
-    planned: int = 0  # blocks of the whole sweep
+    planned: int = 0  # blocks to run in all
     foreign: tuple[str, ...] = ()  # what is not part of the store: harmless, and left by a repair
 
     @property
@@ -73,13 +73,13 @@ def verify(path: Path) -> Report:
     store = open_store(path)
     problems += [problem for row in rows for problem in _block_problems(store, row)]
     if "end" in store.group.attrs:  # a finished store has a row for each block
-        missing = set(range(store.grid.n_blocks)) - {row.block for row in rows}
+        missing = set(store.grid.own) - {row.block for row in rows}
         problems += [Problem(LEDGER, f"has no row of block {b}", b) for b in sorted(missing)]
     if not damaged:
         problems += _no_files(store, files, {problem.what for problem in problems})
     n_files = len(files) + sum(len(row.files) for row in rows)
     foreign = () if damaged else tuple(foreign_files(store))
-    return Report(len(rows), n_files, tuple(problems), store.grid.n_blocks, foreign)
+    return Report(len(rows), n_files, tuple(problems), len(store.grid.own), foreign)
 
 
 def repair_metadata(path: Path) -> None:
@@ -153,7 +153,7 @@ def _ledger_problems(ledger: Ledger) -> Iterator[Problem]:
 
 
 def _block_problems(store: Store, row: Row) -> Iterator[Problem]:
-    if not 0 <= row.block < store.grid.n_blocks or set(row.files) != set(store.variables):
+    if row.block not in store.grid.own or set(row.files) != set(store.variables):
         yield Problem(LEDGER, f"is damaged: block {row.block} is none of this sweep")
         return
     for file, checksum in store.files(row):

@@ -1,5 +1,6 @@
 """Stores for the tests of this folder, in memory if possible: an fsync then takes no time."""
 
+import multiprocessing
 import os
 import shutil
 import tempfile
@@ -38,3 +39,19 @@ def quick(monkeypatch):
 def golden(tmp_path):
     """A copy of the golden store of today's format, to be changed."""
     return Path(shutil.copytree(GOLDEN / f"format-{FORMAT}.zarr", tmp_path / "golden.zarr"))
+
+
+@pytest.fixture(scope="module")
+def processes():
+    """Starts processes in which everything is imported."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["tests.store.victim"])
+
+    def start(target, *arguments):
+        pipe, theirs = context.Pipe(duplex=False)
+        process = context.Process(target=target, args=(*arguments, theirs), daemon=True)
+        process.start()
+        theirs.close()
+        return process, pipe
+
+    return start

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-ON_PATHS = ("open", "replace", "rename", "mkdir", "unlink", "rmdir")
+ON_PATHS = ("open", "replace", "rename", "mkdir", "unlink", "rmdir", "link")
 ON_DESCRIPTORS = ("close", "write", "pwrite", "fsync", "ftruncate")
 
 
@@ -72,7 +72,8 @@ class Calls:
         if name in ON_DESCRIPTORS:
             return self._paths.get(args[0])
         base = self._paths.get(kwargs.get("dir_fd"), "")
-        path = os.path.abspath(os.path.join(base, os.fspath(args[0])))
+        changed = args[1 if name == "link" else 0]
+        path = os.path.abspath(os.path.join(base, os.fspath(changed)))
         return path if self._in(path) else None
 
     def _in(self, path: str) -> bool:

@@ -179,7 +179,7 @@ def contents(path):
         if file.is_file() and not file.name.startswith(("ledger.", "owner."))
     }
     record = json.loads(files["zarr.json"])
-    for key in ("start", "end", "extended"):
+    for key in ("start", "end", "extended", "merged", "parts"):
         record["attributes"].pop(key, None)
     return files | {"zarr.json": record}
 

@@ -229,22 +229,6 @@ def test_a_power_cut_after_any_call_loses_nothing(stores, quick, deed, source, p
     report(f"{deed.__name__}: {cuts} power cuts, {len(disks)} different disks")
 
 
-@pytest.fixture(scope="module")
-def processes():
-    """Starts processes in which everything is imported."""
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["tests.store.victim"])
-
-    def start(target, *arguments):
-        pipe, theirs = context.Pipe(duplex=False)
-        process = context.Process(target=target, args=(*arguments, theirs), daemon=True)
-        process.start()
-        theirs.close()
-        return process, pipe
-
-    return start
-
-
 def said(process, pipe):
     """What a process sent until its end."""
     process.join()

@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from sweeps import runner
+from sweeps.merge import merge
 from sweeps.store.ledger import _opened
 from sweeps.store.lock import locked
 from sweeps.store.opening import open_store
@@ -33,6 +34,31 @@ def work(stores, path, number, seconds, pipe):
         if not path.exists():
             stores.create(path)
         run(open_store(path), lambda progress: pipe.send(progress.done))
+    pipe.send("ended")
+
+
+def run_shard(path, plan, shard, number, pipe):
+    """Run a shard, or what is left of it; the system kills this process at its call `number`."""
+
+    def fault(call):
+        if call.number == number:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    with pytest.MonkeyPatch.context() as patch, Calls(path.parent, fault):
+        without_engine(patch)
+        run(runner.start_or_reopen(path, plan, 2, 32, shard))
+    pipe.send("ended")
+
+
+def merge_parts(parts, path, number, pipe):
+    """Merge; the system kills this process at its call `number`."""
+
+    def fault(call):
+        if call.number == number:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    with Calls(path.parent, fault):
+        merge(parts, path)
     pipe.send("ended")
 
 

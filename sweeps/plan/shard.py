@@ -1,0 +1,50 @@
+"""One of N shares of a sweep, for machines that share nothing but, perhaps, a folder."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from sweeps.spec.mistakes import SweepError, printable
+
+MOST = 10_000  # shards: a merged store has a line of 200 bytes for each in its attributes
+_WRITTEN = re.compile(r"(\d{1,5})/(\d{1,5})", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Share `k` of `n`: the blocks k, k + n, k + 2 n, ..., counted from 1.
+
+    Blocks beside each other cost about the same, so that all shares take about the same time.
+    """
+
+    k: int
+    n: int
+
+    def __str__(self) -> str:
+        return f"{self.k}/{self.n}"
+
+    @classmethod
+    def parse(cls, text: str) -> "Shard":
+        """The shard of a text such as "3/40". Raises SweepError if it is none."""
+        match = _WRITTEN.fullmatch(text)
+        if match is None or not 1 <= int(match[1]) <= int(match[2]) <= MOST:
+            wanted = f"K/N with whole numbers 1 <= K <= N <= {MOST:,}, as in 3/40"
+            raise SweepError(f"--shard {printable(text)}: must be {wanted}")
+        return cls(int(match[1]), int(match[2]))
+
+    def blocks(self, n_blocks: int) -> range:
+        """The numbers, from 0, of its blocks among `n_blocks`."""
+        return range(self.k - 1, n_blocks, self.n)
+
+    def part(self, whole: Path) -> Path:
+        """Where its part of the store `whole` is: tiny.3-of-40.zarr beside tiny.zarr."""
+        return whole.with_name(whole.name.removesuffix(".zarr") + self._ending)
+
+    def whole(self, part: Path) -> Path:
+        """The store of which `part` is its part; without the ending of `part`, a name like it."""
+        name = part.name.removesuffix(self._ending).removesuffix(".zarr")
+        return part.with_name(f"{name}.zarr")
+
+    @property
+    def _ending(self) -> str:
+        return f".{self.k}-of-{self.n}.zarr"
