@@ -195,7 +195,7 @@ def prepared(
 def _program(backend: Any, model: Model, steps: int, batch: Params) -> Any:
     """The program that `sweep` has compiled."""
     dtype, devices = np.asarray(batch.K0).dtype, tuple(jax.local_devices())
-    return sweeping._program(backend, model, steps, False, dtype, devices, False)
+    return sweeping._program(backend, model, steps, False, dtype, devices)
 
 
 def _launched(program: Any, batch: Params, n: int) -> Callable[[], float]:

@@ -102,18 +102,21 @@ def sweep(
         `pallas` one kernel on a GPU; elsewhere interpreted, slowly
 
     Raises ParamsError if a value is out of bounds or leaves have different lengths. A backend that
-    is chosen by name raises if it is not available; `auto` warns and uses `xla`.
+    is chosen by name raises if it is not available; `auto` warns and uses the next one.
     """
     if backend not in get_args(Backend):
         raise ParamsError("backend", shown(backend), "one of " + ", ".join(get_args(Backend)))
     if not isinstance(error_estimate, bool):
         raise ParamsError("error_estimate", shown(error_estimate), "True or False")
-    run = (model, n_steps, error_estimate)
     if _traced_by_jit(batch, dt):
-        return _inside_jit(backend, batch, dt, *run)
+        return _inside_jit(backend, batch, dt, model, n_steps, error_estimate)
     fields, h, n_steps = checked_fields(batch, model, dt, n_steps, instead="evaluate")
     with at_once() as traced:
-        program = _program(backend, *run, h.dtype, tuple(jax.local_devices()), traced)
+        devices = tuple(jax.local_devices())
+        on_gpu = backend == "auto" and devices[0].platform == "gpu"
+        if traced and on_gpu and not _works("ptx", devices):
+            backend = "xla"  # Pallas can't compile while JAX folds constants
+        program = _program(backend, model, n_steps, error_estimate, h.dtype, devices)
         return program(columns(fields), h)
 
 
@@ -134,9 +137,9 @@ def _inside_jit(
     h = jnp.asarray(dt, p.K0.dtype)
     leaves = {name: jnp.asarray(leaf) for name, leaf in vars(p).items()}
     n = length(leaves)
-    with at_once() as traced:
+    with at_once():
         devices = tuple(jax.local_devices())
-        program = _program(backend, model, n_steps, error_estimate, h.dtype, devices, traced)
+        program = _program(backend, model, n_steps, error_estimate, h.dtype, devices)
     if not isinstance(program, LaneMap):
         raise ParamsError("backend", backend, "lanes or ptx where the batch is traced")
     return program.inside_jit(
@@ -230,7 +233,6 @@ def _program(
     error_estimate: bool,
     dtype: np.dtype,
     devices: tuple[jax.Device, ...],
-    traced: bool,
 ) -> Program:
     """One program for these devices. If `auto` can't use the fastest backend, it warns."""
     platform = devices[0].platform
@@ -238,8 +240,6 @@ def _program(
     result = result_types(model, error_estimate, dtype)
     tried = []
     for way in ways:
-        if way == "pallas" and traced and backend == "auto":
-            continue  # Pallas can't compile while JAX folds constants
         compiled = _by_lanes if way in ("lanes", "ptx") else _by_jax
         try:
             program = compiled(way, model, n_steps, error_estimate, result, dtype, devices)
