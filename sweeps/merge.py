@@ -66,7 +66,7 @@ def _parts(paths: Sequence[Path]) -> Parts:
 def _refuse_different(part: Store, first: Store) -> None:
     """Refuse parts of two sweeps, of two divisions of one, or of two programs."""
     found, wanted = part.group.attrs.asdict(), first.group.attrs.asdict()
-    other = [word for key, word in OF_RUN.items() if found[key] != wanted[key]]
+    other = [word for key, word in OF_RUN.items() if found.get(key) != wanted.get(key)]
     other += ["number of shards"] if _n(part) != _n(first) else []
     if other:
         what = ", ".join(other)
