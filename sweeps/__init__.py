@@ -3,6 +3,7 @@
 - `spec`: reads and checks a sweep file; `library`: the sweeps that come with the program
 - `plan`: its scenarios, block by block
 - `store`: the result store on disk
+- `merge`: one store of the shards of a sweep
 - `runner`: computes the blocks of a store; `provenance`: names the program and the machine
 - `devices`: starts JAX, or names the variable of the environment that keeps it from starting
 - `compile_cache`, `processor`: where compiled programs are kept, one folder for each processor

@@ -105,7 +105,7 @@ def start_or_reopen(
     if not (path / "zarr.json").is_file():
         return start(path, plan, chunk, precision, shard)
     found, wanted = open_store(path), attributes(Grid(plan, chunk, shard))
-    other = [word for key, word in OF_RUN.items() if found.group.attrs[key] != wanted[key]]
+    other = [word for key, word in OF_RUN.items() if found.group.attrs.get(key) != wanted[key]]
     other += ["--shard"] if found.grid.shard != shard else []
     if other:
         raise SweepError(f"{path}: was begun with another {', '.join(other)}; --out names another")

@@ -8,7 +8,7 @@ Read the files in this order; each uses only those above it.
     ledger.py    ledger.sqlite: one row for each finished block, with the checksums of its files
     format.py    what is on the disk: arrays, flags, attributes
     opening.py   open a store, count it, read it
-    create.py    make an empty store
+    create.py    make an empty store, or build another: whole, or not at all
     commit.py    write one block
     extend.py    copy a store into a larger one
     verify.py    compare every file with the ledger; repair the metadata

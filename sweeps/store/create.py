@@ -23,17 +23,23 @@ from sweeps.store.place import before_extension, place_of_new, store_around
 
 def create(path: Path, grid: Grid, made_by: Mapping[str, Any]) -> Store:
     """Make an empty store, with `made_by` among its attributes. Raises SweepError if it can't."""
-    path = check_new(path, grid, made_by["dtype"])
-    return build(path, lambda partial: write_empty(partial, grid, made_by))
+
+    def write(partial: Path) -> None:
+        write_empty(partial, grid, made_by)
+        sync_tree(partial)
+
+    return build(check_new(path, grid, made_by["dtype"]), write)
 
 
 def build(path: Path, write: Callable[[Path], None]) -> Store:
-    """Make a store with what `write` puts into the folder that it gets. Raises SweepError."""
+    """Make a store of what `write` puts on the disk, in the folder that it gets.
+
+    Raises SweepError if it can't be made, OSError if the disk refuses.
+    """
     partial, parent = partial_of(path), _existing_parent(path)
     try:
         with building(partial):
             write(partial)
-            sync_tree(partial)
             refuse_existing(path)
             partial.rename(path)
             sync(path.parent)

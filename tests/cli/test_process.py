@@ -22,6 +22,7 @@ COMMANDS = [
     "show",
     "run",
     "resume",
+    "merge",
     "verify",
     "status",
     "plot",
