@@ -2,6 +2,7 @@
 
 - `library`: `list`, `show`; finds a sweep by its name or file
 - `run`: `run`, `resume`
+- `reduce`: `reduce`
 - `check`: `status`, `verify`
 - `output`: `plot`, `history`, `export`
 - `report`, `bench`: a command each
@@ -21,7 +22,7 @@ from typing import Annotated
 
 import typer
 
-from sweeps.cli import bench, check, errors, library, output, process, report, run
+from sweeps.cli import bench, check, errors, library, output, process, reduce, report, run
 from sweeps.cli.arguments import Command
 
 app = typer.Typer(
@@ -36,6 +37,7 @@ for command in (
     library.show,
     run.run,
     run.resume,
+    reduce.reduce,
     check.verify,
     check.status,
     output.plot,

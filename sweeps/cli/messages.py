@@ -13,7 +13,7 @@ from sweeps.runner import Progress
 from sweeps.spec.digits import digits
 from sweeps.spec.mistakes import SweepError, command, printable
 from sweeps.spec.types import Sweep
-from sweeps.store.format import DEFINITIONS, DIVERGED, size
+from sweeps.store.format import DEFINITIONS, DIVERGED, REFUSED, size
 from sweeps.store.ledger import Row, intact
 from sweeps.store.opening import Counts, Store
 from sweeps.store.verify import Report
@@ -30,10 +30,37 @@ def plan_lines(grid: Grid, dtype: str) -> list[str]:
     shape = " x ".join(str(n) for n in grid.block_shape)
     estimates = ", error estimates included" if grid.sweep.error_estimate else ""
     return [
-        f"{_dims(grid)} = {counted(grid.cells, 'scenario')} of {grid.sweep.n_steps:,} steps",
+        f"{_dims(grid.full)} = {counted(grid.full.cells, 'scenario')} of {grid.sweep.n_steps:,} "
+        "steps",
+        *_reduced(grid),
         f"{counted(grid.n_blocks, 'block')} of up to {shape}",
         f"{_bytes(size(grid, dtype))} on disk before compression, {dtype}{estimates}",
     ]
+
+
+def _reduced(grid: Grid) -> Iterator[str]:
+    """What is left of the dimensions."""
+    if reduce := grid.sweep.reduce:
+        best = f", best {reduce.best} by {reduce.by}" if reduce.best else ""
+        over = f"reduced over {', '.join(reduce.over)}{best}"
+        yield f"{over}: {_dims(grid)} = {counted(grid.cells, 'cell')}"
+
+
+def reduced_lines(store: Store) -> list[str]:
+    """Of each metric or condition of a reduced store, the share of cells that have a value."""
+    texts = []
+    for name in store.variables:
+        if not store.grid.sweep.reduce or not name.endswith("_status"):
+            continue
+        found = np.bincount(np.asarray(store.array(name)[...]).ravel(), minlength=len(REFUSED))
+        cells = {word: int(found[code]) for word, code in REFUSED.items() if found[code]}
+        whole = store.grid.cells
+        ok = _percent(cells.pop("ok", 0), whole)
+        why = [f"{_percent(n, whole)} {word}" for word, n in cells.items()]
+        texts.append(
+            f"{name.removesuffix('_status')} {ok}" + (f" ({'; '.join(why)})" if why else "")
+        )
+    return _in_lines("values", texts)
 
 
 def held_lines(sweep: Sweep) -> list[str]:
@@ -67,7 +94,7 @@ def expectation(grid: Grid, compiling: float, rate: float) -> str:
     """How long a sweep will take, from seconds to compile a model and scenarios a second."""
     choices = grid.sweep.model.values()
     models = math.prod(len(choice) for choice in choices if isinstance(choice, list))
-    seconds = models * compiling + grid.cells / rate
+    seconds = models * compiling + grid.full.cells / rate
     steps = rate * grid.sweep.n_steps / 1e6
     speed = f"{rate:,.0f} scenarios/s ({steps:,.{0 if steps >= 10 else 1}f} M steps/s)"
     return f"about {_duration(seconds)} at {speed} on this machine, measured just now"
@@ -80,11 +107,13 @@ def status_lines(store: Store) -> list[str]:
     made_by = f"fic_jax {attrs['fic_jax']} ({attrs['revision']}), jax {attrs['jax']}"
     return [
         f"{store.path}: {grid.sweep.name}, {_dims(grid)}",
+        *_reduced(grid),
         f"done      {counts.done:,} of {grid.cells:,} cells ({_percent(counts.done, grid.cells)})",
         *(f"  {name:8}{count:>14,}" for name, count in counts.cells.items()),
         *(f"diverged  {scenario}" for scenario in diverged),
         *(f"failed    {block}" for block in _set_aside(store, counts.set_aside)),
         *_trusted(counts),
+        *reduced_lines(store),
         f"metrics   {DEFINITIONS[store.definition]}",
         *held_lines(grid.sweep),
         f"blocks    {len(counts.pending):,} of {grid.n_blocks:,} to do",
@@ -144,6 +173,7 @@ def progress_line(progress: Progress) -> str:
         return "compiling" if progress.done < progress.cells else "complete already"
     rate = progress.ran / progress.seconds
     left = (progress.cells - progress.done) / rate
+    rate *= progress.combinations
     return f"{rate:,.0f} scenarios/s, {_duration(left)} left"
 
 
@@ -157,13 +187,16 @@ def log_line(progress: Progress) -> str:
 def summary(store: Store, result: Progress) -> str:
     """What a run has done."""
     if not result.ran and not result.set_aside:
-        return f"{store.path}: complete already, {counted(result.cells, 'scenario')}"
-    rate = result.ran / result.seconds
+        scenarios = counted(result.cells * result.combinations, "scenario")
+        return f"{store.path}: complete already, {scenarios}"
+    ran = result.ran * result.combinations
+    rate = ran / result.seconds
     steps = rate * store.grid.sweep.n_steps / 1e6
     speed = f", {rate:,.0f}/s ({steps:,.0f} M steps/s)" if steps >= 1 else ""
     diverged = f", {result.diverged:,} diverged" if result.diverged else ""
-    first = f"{counted(result.ran, 'scenario')} in {_duration(result.seconds)}{speed}{diverged}"
-    return "\n".join([f"{store.path}: {first}", *_trusted(Counts.of(store))])
+    first = f"{counted(ran, 'scenario')} in {_duration(result.seconds)}{speed}{diverged}"
+    lines = [f"{store.path}: {first}", *_trusted(Counts.of(store)), *reduced_lines(store)]
+    return "\n".join(lines)
 
 
 def failed_blocks(store: Store, result: Progress) -> Iterator[str]:
@@ -200,7 +233,8 @@ def interrupted(store: Store, error: BaseException) -> str:
     why = "interrupted" if isinstance(error, KeyboardInterrupt) else f"failed: {_reason(error)}"
     rest = f"{_resume(store)} does the rest"
     try:
-        done, all_ = Counts.of(store).done, store.grid.cells
+        each = store.grid.combinations
+        done, all_ = Counts.of(store).done * each, store.grid.full.cells
     except (OSError, SweepError):  # the folder is gone, or has become unreadable
         return f"{why}; what was finished is kept if the folder is, {rest}"
     return f"{why}; {done:,} of {counted(all_, 'scenario')} are kept, {rest}"
