@@ -48,19 +48,20 @@ def _reduced(grid: Grid) -> Iterator[str]:
 
 def reduced_lines(store: Store) -> list[str]:
     """Of each metric or condition of a reduced store, the share of cells that have a value."""
-    texts = []
-    for name in store.variables:
-        if not store.grid.sweep.reduce or not name.endswith("_status"):
-            continue
-        found = np.bincount(np.asarray(store.array(name)[...]).ravel(), minlength=len(REFUSED))
+    texts, reduce = [], store.grid.sweep.reduce
+    if not reduce:
+        return []
+    for name in (*reduce.metrics, *reduce.share):
+        found = np.bincount(
+            np.asarray(store.array(f"{name}_status")[...]).ravel(), minlength=len(REFUSED)
+        )
         cells = {word: int(found[code]) for word, code in REFUSED.items() if found[code]}
         whole = store.grid.cells
         ok = _percent(cells.pop("ok", 0), whole)
         why = [f"{_percent(n, whole)} {word}" for word, n in cells.items()]
-        texts.append(
-            f"{name.removesuffix('_status')} {ok}" + (f" ({'; '.join(why)})" if why else "")
-        )
-    return _in_lines("values", texts)
+        texts.append(f"{name} {ok}" + (f" ({'; '.join(why)})" if why else ""))
+    allowed = f"where at most {_percent(reduce.untrusted, 1)} of the scenarios are not known"
+    return [*_in_lines("values", texts), f"{'':{HEAD}}{allowed} (`untrusted`)"]
 
 
 def held_lines(sweep: Sweep) -> list[str]:
@@ -289,5 +290,5 @@ def counted(n: int, noun: str) -> str:
     return f"{n:,} {noun}" + ("" if n == 1 else "s")
 
 
-def _percent(part: int, whole: int) -> str:
+def _percent(part: float, whole: int) -> str:
     return f"{100 * part / max(whole, 1):.4g} %"

@@ -18,6 +18,9 @@ from sweeps.spec.types import Sweep
 # scenarios have very many steps.
 BLOCK_STEPS = 300_000_000  # plant steps
 SMALLEST_BLOCK, LARGEST_BLOCK = 4_096, 1_000_000  # cells
+# A reduced store has small values, and a file takes at least 4 kB of a disk: with more scenarios it
+# gets blocks of up to LARGEST_BLOCK of them instead of more blocks.
+FEW_BLOCKS = 1_000
 MAX_BLOCKS = 1_000_000  # of a sweep: each is a file in every variable's folder and a ledger row
 MAX_BLOCK = 10_000_000  # cells of a block: all metrics and errors of it take 1 GB of memory
 ESTIMATE_COST = 6  # an error estimate adds a run with half the step and located switches
@@ -82,6 +85,9 @@ class Grid:
         if self.chunk:
             return self.chunk
         scenarios = min(max(BLOCK_STEPS // self.work, SMALLEST_BLOCK), LARGEST_BLOCK)
+        if self.sweep.reduce:
+            enough = min(self.full.cells // FEW_BLOCKS, LARGEST_BLOCK)
+            scenarios = max(scenarios, enough)
         cells = max(scenarios // self.combinations, 1)
         return max(cells, 4 * self.cells // MAX_BLOCKS)  # halving may make blocks 4 times smaller
 

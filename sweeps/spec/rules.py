@@ -1,6 +1,7 @@
 """Checks of a Sweep that need more than one key; each yields a line for each mistake."""
 
 import math
+import re
 from collections.abc import Container, Iterator
 from typing import Any, cast
 
@@ -24,6 +25,7 @@ from sweeps.spec.types import (
     Sweep,
 )
 
+_SHARE = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,49}")  # `data.calm_share` of a store
 TABLES = ("constants", "axes", "cases")
 
 
@@ -71,6 +73,9 @@ def reduction(sweep: Sweep) -> Iterator[str]:
                 )
         if isinstance(listed, list) and len(set(listed)) < len(listed):
             yield f"`reduce.{key}` must be different from each other, but is {listed}."
+    for name, parts in reduce.quantiles.items():
+        if len(set(parts)) < len(parts):
+            yield f"`reduce.quantiles.{name}` must be parts that differ, but is {parts}."
     yield from _conditions(reduce, metrics)
     yield from _reduced_sizes(sweep, reduce)
 
@@ -96,7 +101,10 @@ def _dimensions(dims: list[str], reduce: Reduction) -> Iterator[str]:
 
 def _conditions(reduce: Reduction, metrics: list[str]) -> Iterator[str]:
     for name, text in reduce.share.items():
-        if name in STORED or name in ("diverged", "not_run"):
+        if not _SHARE.fullmatch(name):
+            wanted = "a letter, then letters, digits and _, at most 50"
+            yield f"`reduce.share` must have names of {wanted}, but has {excerpt(name)}."
+        if name in (*STORED, "diverged", "not_run") or name.endswith("_untrusted"):
             yield f"`reduce.share.{name}` must have another name: `{name}_share` is taken."
         try:
             used = names(text)

@@ -177,8 +177,6 @@ class RandomDesign(Record):
     ranges: Annotated[dict[str, Range], Field(min_length=1)]
 
 
-# of a new variable of a store, which xarray reads as an attribute: `data.calm_share`
-ShareName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,49}$")]
 Condition = Annotated[str, Field(max_length=1_000)]
 Part = Annotated[Number, Field(ge=0, le=1)]
 MetricNames = Annotated[list[str], Field(fail_fast=True, max_length=MAX_NAMES)]
@@ -200,7 +198,7 @@ class Reduction(Record):
         dict[str, Annotated[list[Part], Field(min_length=1, max_length=MAX_NAMES)]],
         Field(max_length=MAX_NAMES),
     ] = {}
-    share: Annotated[dict[ShareName, Condition], Field(max_length=MAX_NAMES)] = {}
+    share: Annotated[dict[str, Condition], Field(max_length=MAX_NAMES)] = {}
     best: str | None = None
     by: str | None = None
     # A value is refused where a larger part of its scenarios has no number that is trusted.

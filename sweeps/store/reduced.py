@@ -27,7 +27,9 @@ class Variable:
     long_name: str
     units: str = "1"
     dtype: str = ""  # empty: the precision of the metrics
-    flags: dict[str, int] = field(default_factory=dict)  # word -> code; 0 is the fill value
+    flags: dict[str, int] = field(
+        default_factory=dict
+    )  # word -> code, in uint8; 0 is the fill value
     status: str = ""  # the variable that says what became of it
 
 
@@ -62,13 +64,14 @@ def place_names(sweep: Sweep, dim: str) -> list[str]:
 def _variables(sweep: Sweep, reduce: Reduction, status: dict[str, int]) -> Iterator[Variable]:
     over = f"over {', '.join(reduce.over)}"
     if reduce.best:
+        worst = f"largest {_words(str(reduce.by))} {over}"
         over += f", at the best {reduce.best}"
-        worst = f"largest {METRICS[str(reduce.by)]['meaning']} over {', '.join(reduce.over)}"
         for name in place_names(sweep, reduce.best):
-            yield _place(sweep, f"best_{name}", name, f"with the smallest worst case: {worst}")
+            what = f"with the smallest {worst}"
+            yield _place(sweep, f"best_{name}", name, what, f"{reduce.by}_status")
         units = METRICS[str(reduce.by)]["unit"]
-        at = f"{worst}, at the best {reduce.best}"
-        yield Variable(f"{reduce.by}_at_best", at, units, status=f"{reduce.by}_status")
+        meaning = f"{worst}, at the best {reduce.best}"
+        yield Variable(f"{reduce.by}_at_best", meaning, units, status=f"{reduce.by}_status")
     for metric in reduce.metrics:
         yield from _of_metric(sweep, reduce, metric, over)
     for name, text in reduce.share.items():
@@ -84,34 +87,40 @@ def _variables(sweep: Sweep, reduce: Reduction, status: dict[str, int]) -> Itera
     yield Variable("not_run_share", f"part of the scenarios that were not run or failed, {over}")
 
 
+def _words(metric: str) -> str:
+    """A metric in few words: a picture's label has little room, and the docs explain it."""
+    return metric.replace("_", " ")
+
+
 def _of_metric(sweep: Sweep, reduce: Reduction, metric: str, over: str) -> Iterator[Variable]:
-    meaning, units = METRICS[metric]["meaning"], METRICS[metric]["unit"]
+    meaning, units = _words(metric), METRICS[metric]["unit"]
     state = f"{metric}_status"
     for key, word in (("max", "largest"), ("min", "smallest")):
         if metric not in getattr(reduce, key):
             continue
-        yield Variable(f"{metric}_{key}", f"{word} {meaning}, {over}", units, status=state)
+        yield Variable(f"{metric}_{key}", f"{word} {meaning} {over}", units, status=state)
         for dim in reduce.over:
             for name in place_names(sweep, dim):
-                what = f"of the {word} {metric}"
-                yield _place(sweep, f"{metric}_{key}_{name}", name, what)
+                what = f"of the {word} {meaning}"
+                yield _place(sweep, f"{metric}_{key}_{name}", name, what, state)
     if metric in reduce.mean:
-        yield Variable(f"{metric}_mean", f"mean {meaning}, {over}", units, status=state)
+        yield Variable(f"{metric}_mean", f"mean {meaning} {over}", units, status=state)
     if metric in reduce.std:
-        said = f"standard deviation of {meaning}, {over}"
+        said = f"standard deviation of {meaning} {over}"
         yield Variable(f"{metric}_std", said, units, status=state)
     for part in reduce.quantiles.get(metric, ()):
-        said = f"{100 * part:.10g} % quantile of {meaning}, {over}"
+        said = f"{100 * part:.10g} % quantile of {meaning} {over}"
         yield Variable(quantile(metric, part), said, units, status=state)
 
 
-def _place(sweep: Sweep, variable: str, name: str, what: str) -> Variable:
+def _place(sweep: Sweep, variable: str, name: str, what: str, status: str) -> Variable:
     """The value at a place: a number in double precision, so that `.sel` finds it, or a choice."""
     if name in sweep.model:
         flags = {choice: i for i, choice in enumerate([NONE, *sweep.model[name]])}
-        return Variable(variable, f"{name} {what}", dtype="uint8", flags=flags)
+        return Variable(variable, f"{name} {what}", dtype="uint8", flags=flags, status=status)
     quantity = QUANTITIES.get(name, {"unit": "1", "meaning": f"number of the {name}"})
-    return Variable(variable, f"{quantity['meaning']} {what}", quantity["unit"], "float64")
+    meaning = f"{quantity['meaning']} {what}"
+    return Variable(variable, meaning, quantity["unit"], "float64", status=status)
 
 
 def place_values(grid: Grid, dim: str, index: np.ndarray) -> dict[str, np.ndarray]:
