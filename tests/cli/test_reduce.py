@@ -1,11 +1,13 @@
 """`fic-sweep reduce`, and what one can get wrong about a reduction."""
 
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
 
-from tests.command import call, typed
+from tests.command import FIC_SWEEP, call, typed
+from tests.test_runner import bits
 
 REDUCED = """
 name = "small"
@@ -151,6 +153,21 @@ def test_what_a_reduced_store_does_not_do(run, monkeypatch, arguments, told):
     ended = typed(*arguments)
     assert (ended.code, ended.stdout) == (2, "")
     assert told in ended.stderr and len(ended.stderr.splitlines()) == 1
+
+
+def test_a_killed_run_is_resumed_with_the_same_bits(small):
+    """SIGKILL once a block is in the ledger; the run may be over by then."""
+    whole = call("run", "small.toml", "--out", "whole.zarr", code=0, folder=small)
+    assert "18 scenarios" in whole.stdout
+    run = subprocess.Popen(
+        [FIC_SWEEP, "run", "small.toml", "--chunk", "1"], cwd=small, stdout=subprocess.DEVNULL
+    )
+    while run.poll() is None and not list(small.glob("small.zarr/status/c.*")):
+        pass
+    run.kill()
+    run.wait()
+    call("resume", "small.zarr", code=0, folder=small)
+    assert bits(small / "small.zarr") == bits(small / "whole.zarr")
 
 
 def test_the_example_of_the_docs_runs(small):

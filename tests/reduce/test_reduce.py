@@ -10,6 +10,8 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from figures import planes
+from figures.cut import PlotError
 from sweeps import runner
 from sweeps.cli import messages
 from sweeps.plan.grid import FEW_BLOCKS, LARGEST_BLOCK, Grid, cells_of, shape_of
@@ -282,6 +284,9 @@ def test_bits_depend_on_no_block_and_extremes_on_no_box(seed, ties, best, chunks
     for other in others:
         for name, values in one.items():
             assert values.tobytes() == other[name].tobytes(), name
+    known = one["nmse_max_case"] >= 0  # not NaN
+    gap = np.array([0.0, 0.1])[np.where(known, one["nmse_max_case"], 0).astype(int)]
+    np.testing.assert_array_equal(one["nmse_max_gap"], np.where(known, gap, np.nan))
     for name, values in one.items():
         # sums of a few numbers, box by box
         rtol = 1e-13 if name in ("nmse_mean", "nmse_std") else 0.0
@@ -368,6 +373,23 @@ def test_a_reduced_store_says_what_it_is(reduced):
     assert f"= {grid.full.cells} scenarios of 60 steps" in messages.plan_lines(grid, "float32")[0]
     for name, variable in dataset(reduced.path).data_vars.items():
         assert variable.attrs["long_name"], name
+
+
+def test_a_picture_hatches_what_is_refused_and_says_what_varied(reduced):
+    data = dataset(reduced.path)
+    plane = planes.select(data, x="K0", y="Kenv", metric="nmse_max", at={"contact": "welded"})
+    for key, code in {"diverged": DIVERGED, "not trusted": UNTRUSTED}.items():
+        status = data["nmse_status"].sel(contact="welded")
+        if "sigma" in status.dims:
+            status = status.isel(sigma=1)
+        np.testing.assert_array_equal(
+            plane.special.get(key, False) * np.ones(plane.values.shape, bool),
+            status.transpose("Kenv", "K0") == code,
+        )
+    assert plane.special
+    assert "over 5 values of $D_{env}$ = 1 to 1000 N·m·s/rad" in plane.held
+    with pytest.raises(PlotError, match="There is no metric 'nmse_status'"):
+        planes.select(data, x="K0", y="Kenv", metric="nmse_status")
 
 
 def test_the_plan_of_a_billion_needs_no_array_of_them():
