@@ -20,7 +20,7 @@ from sweeps.store.format import (
     JUDGEMENTS,
     OK,
     OLD_JUDGEMENTS,
-    STATUS,
+    REFUSED,
     TRUSTED,
 )
 
@@ -66,7 +66,8 @@ def cut(data: xr.Dataset, drawn: Collection[str], metric: str, at: Wanted) -> xr
         for dim in data[metric].dims
         if dim not in drawn
     }
-    wanted = [name for name in (metric, _judgement(data, metric), "status") if name in data]
+    names = (metric, _judgement(data, metric), _own_status(data, metric), "status")
+    wanted = [name for name in names if name in data]
     # isel before load: a store may be larger than memory, a picture is not
     part = data[wanted].isel(index).load()
     n = {str(c.name): _digits(data[c.name]) for c in _fixed(part) if c.dtype.kind == "f"}
@@ -89,7 +90,9 @@ def cells(part: xr.Dataset, metric: str) -> Cells:
     values = array.values.astype(float)
     # xarray decodes status 0, the fill value, as NaN
     status = np.nan_to_num(part["status"].values) if "status" in part else np.ones(values.shape)
-    special = {key: status == code for key, code in STATUS.items() if code != OK}
+    if own := _own_status(part, metric):
+        status = np.where(status == OK, np.nan_to_num(part[own].values), status)
+    special = {key: status == code for key, code in REFUSED.items() if code != OK}
     good = status == OK
     special["infinite"] = good & np.isinf(values)
     judgement = _judgement(part, metric)
@@ -124,7 +127,10 @@ def require_metric(metric: str, data: xr.Dataset) -> None:
         raise PlotError(
             f"'{metric}' is no metric: a picture of '{judged}' marks what is not trusted."
         )
-    _require(metric, [name for name in data.data_vars if name not in FLAGS], "metric")
+    numbers = [
+        n for n, v in data.data_vars.items() if n not in FLAGS and "flag_values" not in v.attrs
+    ]
+    _require(metric, numbers, "metric")
 
 
 def require_dimension(name: str, data: xr.Dataset, metric: str) -> None:
@@ -155,6 +161,11 @@ def _judgement(data: xr.Dataset, metric: str) -> str:
     judged = ERRORS.get(metric, metric)
     names = (name for name, of in (JUDGEMENTS | OLD_JUDGEMENTS).items() if of == judged)
     return next((name for name in names if name in data), "")
+
+
+def _own_status(data: xr.Dataset, metric: str) -> str:
+    """The flag that says what became of a statistic of a reduced store; empty if it has none."""
+    return str(data[metric].attrs.get("ancillary_variables", ""))
 
 
 def _bound(data: xr.Dataset, judgement: str) -> str:
@@ -211,7 +222,21 @@ def _held(data: xr.Dataset) -> tuple[tuple[str, ...], tuple[str, ...]]:
     rest += [f"{zero} = 0"] if zero else []
     rest[:1] = [f"by default {text}" for text in rest[:1]]
     contact = (style.words(choices["contact"]),) if "contact" in choices else ()
-    return contact, (*given, *times, *rest)
+    return contact, (*given, *times, *rest, *_reduced(data))
+
+
+def _reduced(data: xr.Dataset) -> list[str]:
+    """What varied along the dimensions that a reduced store does not have."""
+    texts = []
+    for name, (n, *values) in json.loads(data.attrs.get("reduced_over", "{}")).items():
+        if name in QUANTITIES:
+            low, high = (style.number(value, digits(values)) for value in values)
+            unit = style.units_text(QUANTITIES[name]["unit"])
+            said = f"{style.SYMBOLS[name]} = {low} to {high} {unit}".strip()
+        else:
+            said = " and ".join(style.words(value) for value in values)
+        texts.append(f"over {n:,} values of {said}")
+    return texts
 
 
 def _constant(name: str, value: float) -> str:

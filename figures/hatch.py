@@ -18,6 +18,9 @@ from figures.planes import Plane
 INFINITE = {
     "convergence_time": "never converges",
     "contact_time": "never touches",
+    "convergence_time_max": "one of them never converges",
+    "convergence_time_mean": "one of them never converges",
+    "convergence_time_at_best": "never converges with any value",
     "convergence_time_error": "converges in one of two runs",
     "contact_time_error": "touches in one of two runs",
 }

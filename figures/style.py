@@ -129,6 +129,7 @@ HATCHES = {
     "diverged": Hatch("black", "white", "xxxxx"),
     "failed": Hatch("0.62", "black", "-----"),
     "infinite": Hatch("white", "0.15", "//////"),
+    "not trusted": Hatch("0.75", "0.1", 4 * "\\"),
     "no value": Hatch("0.85", "0.2", "+++++"),
 }
 
@@ -137,7 +138,14 @@ HATCHES = {
 EDGED: list[AbstractPathEffect] = [withStroke(linewidth=2.4, foreground="0.15")]
 
 # The markers of points without a value: no value of the metric has one of them.
-MARKS = {"not run": ".", "diverged": "x", "failed": "+", "infinite": "^", "no value": "1"}
+MARKS = {
+    "not run": ".",
+    "diverged": "x",
+    "failed": "+",
+    "infinite": "^",
+    "no value": "1",
+    "not trusted": "2",
+}
 
 UNTRUSTED = 4 * "\\"  # the hatch over the colour of a cell that is not trusted
 

@@ -75,7 +75,13 @@ def tables(data: xr.Dataset) -> Iterator[pd.DataFrame]:
 
 
 def _flags(data: xr.Dataset) -> Iterator[tuple[str, dict[str, int]]]:
-    return ((name, flags) for name, flags in FLAGS.items() if name in data)
+    """The flag variables, each with its words and their codes."""
+    for name, variable in data.data_vars.items():
+        if name in FLAGS:
+            yield str(name), FLAGS[str(name)]
+        elif "flag_values" in variable.attrs:  # of a reduced store
+            words = str(variable.attrs["flag_meanings"]).split()
+            yield str(name), dict(zip(words, variable.attrs["flag_values"], strict=True))
 
 
 def _pieces(sizes: dict[Any, int]) -> Iterator[dict[Any, slice]]:

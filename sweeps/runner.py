@@ -16,6 +16,7 @@ from sweeps import compile_cache, devices
 from sweeps.plan.grid import Block, Grid, cells_of
 from sweeps.plan.shard import Shard
 from sweeps.provenance import differences, provenance
+from sweeps.reduce.fold import block_values
 from sweeps.spec.mistakes import SweepError
 from sweeps.spec.rules import out_of_bounds
 from sweeps.spec.types import Sweep
@@ -43,6 +44,7 @@ class Progress:
     diverged: int = 0  # among them
     seconds: float = 0.0  # since this run began
     set_aside: tuple[Row, ...] = ()  # blocks that this run could not compute
+    combinations: int = 1  # scenarios of a cell
 
     def after(self, row: Row, cells: int, known: Row | None, seconds: float) -> "Progress":
         """The state after a block of `cells`; its row before this run is `known`."""
@@ -140,7 +142,8 @@ def run(store: Store, on_progress: OnProgress, only: Collection[int] | None = No
         counts = Counts.of(store)
         pending = [i for i in counts.pending if only is None or i in only]
         todo = sum(cells_of(grid.block(index)) for index in counts.pending)
-        progress = Progress(grid.own_cells, grid.own_cells - todo)
+        done = grid.own_cells - todo
+        progress = Progress(grid.own_cells, done, combinations=grid.combinations)
         on_progress(progress)
         # The block in which the last process was killed may be what killed it: it comes last.
         pending.sort(key=lambda index: index == lock.killed_in)
@@ -204,9 +207,7 @@ def _attempt(store: Store, index: int, known: Row | None, attempt: int) -> tuple
     if before:
         todo = np.isin(before["status"], (OK, DIVERGED), invert=True)
     try:
-        values = values_of(
-            *_compute(store.grid, block, store.dtype, todo), store.grid.sweep.time.t_end
-        )
+        values = _values(store.grid, block, store.dtype, todo)
     except Exception as error:  # the sweep continues without this block
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:300]
         values = before or no_values(store.grid, index)
@@ -217,6 +218,14 @@ def _attempt(store: Store, index: int, known: Row | None, attempt: int) -> tuple
             before[name][todo] = values[name]
         values = before
     return values, Row(index, DONE, seconds=time.perf_counter() - began, attempt=attempt)
+
+
+def _values(grid: Grid, block: Block, dtype: str, cells: slice | np.ndarray) -> Values:
+    """The variables of a block, or of some of its cells; of a reduced block, of all of them."""
+    t_end = grid.sweep.time.t_end
+    if grid.sweep.reduce:
+        return block_values(grid, block, lambda b: values_of(*_compute(grid.full, b, dtype), t_end))
+    return values_of(*_compute(grid, block, dtype, cells), t_end)
 
 
 def _compute(
@@ -234,6 +243,7 @@ def _compute(
 
 def measure(grid: Grid, dtype: str) -> tuple[float, float]:
     """Seconds before the first result, and scenarios a second, from a short run of the plan."""
+    grid = grid.full
     block = next(grid.blocks())
     n = min(cells_of(block), max(MEASURED_STEPS // grid.work, MEASURED_LEAST))
     seconds = []

@@ -37,13 +37,14 @@ ARROWS = {
     "metrics": {"inputs", "params", "environment", "piece", "events", "simulation", "lanes.hints"},
     "accuracy": {"inputs", "params", "piece", "events", "metrics", "simulation"},
 }
-# Rooms, each with all rooms that it may import: cli -> {paper, figures} -> runner -> store -> plan
-# -> spec -> fic_jax. The longest name that fits a module is its room.
+# Rooms, each with all rooms that it may import: cli -> {paper, figures} -> runner -> reduce ->
+# store -> plan -> spec -> fic_jax. The longest name that fits a module is its room.
 SPEC = {"fic_jax", "sweeps.spec"}
 PLAN = {*SPEC, "sweeps.plan"}
 STORE = {*PLAN, "sweeps.store", "sweeps.disk"}
+REDUCE = {*STORE, "sweeps.reduce"}
 RUNNER = {
-    *STORE,
+    *REDUCE,
     "sweeps.runner",
     "sweeps.provenance",
     "sweeps.compile_cache",
@@ -61,6 +62,7 @@ ROOMS = {
     "sweeps.compile_cache": {"sweeps.processor"},
     "sweeps.devices": SPEC,
     "sweeps.provenance": {*SPEC, "sweeps"},  # sweeps: where the sources are
+    "sweeps.reduce": REDUCE,
     "sweeps.runner": RUNNER,
     "sweeps.merge": {*STORE, "sweeps.provenance"},
     "sweeps.export": STORE,

@@ -3,6 +3,7 @@
 - `library`: `list`, `show`; finds a sweep by its name or file
 - `run`: `run`, `resume`
 - `merge`: `merge`
+- `reduce`: `reduce`
 - `check`: `status`, `verify`
 - `output`: `plot`, `history`, `export`
 - `report`, `bench`: a command each
@@ -22,7 +23,18 @@ from typing import Annotated
 
 import typer
 
-from sweeps.cli import bench, check, errors, library, merge, output, process, report, run
+from sweeps.cli import (
+    bench,
+    check,
+    errors,
+    library,
+    merge,
+    output,
+    process,
+    reduce,
+    report,
+    run,
+)
 from sweeps.cli.arguments import Command
 
 app = typer.Typer(
@@ -38,6 +50,7 @@ for command in (
     run.run,
     run.resume,
     merge.merge,
+    reduce.reduce,
     check.verify,
     check.status,
     output.plot,

@@ -14,7 +14,7 @@ from sweeps.runner import Progress
 from sweeps.spec.digits import digits
 from sweeps.spec.mistakes import SweepError, command, printable
 from sweeps.spec.types import Sweep
-from sweeps.store.format import DEFINITIONS, DIVERGED, size
+from sweeps.store.format import DEFINITIONS, DIVERGED, REFUSED, size
 from sweeps.store.ledger import Row, intact
 from sweeps.store.opening import Counts, Store
 from sweeps.store.verify import Report
@@ -31,11 +31,39 @@ def plan_lines(grid: Grid, dtype: str) -> list[str]:
     shape = " x ".join(str(n) for n in grid.block_shape)
     estimates = ", error estimates included" if grid.sweep.error_estimate else ""
     return [
-        f"{_dims(grid)} = {counted(grid.cells, 'scenario')} of {grid.sweep.n_steps:,} steps",
+        f"{_dims(grid.full)} = {counted(grid.full.cells, 'scenario')} of {grid.sweep.n_steps:,} "
+        "steps",
+        *_reduced(grid),
         f"{counted(grid.n_blocks, 'block')} of up to {shape}",
         *_shard(grid),
         f"{_bytes(size(grid, dtype))} on disk before compression, {dtype}{estimates}",
     ]
+
+
+def _reduced(grid: Grid) -> Iterator[str]:
+    """What is left of the dimensions."""
+    if reduce := grid.sweep.reduce:
+        best = f", best {reduce.best} by {reduce.by}" if reduce.best else ""
+        over = f"reduced over {', '.join(reduce.over)}{best}"
+        yield f"{over}: {_dims(grid)} = {counted(grid.cells, 'cell')}"
+
+
+def reduced_lines(store: Store) -> list[str]:
+    """Of each metric or condition of a reduced store, the share of cells that have a value."""
+    texts, reduce = [], store.grid.sweep.reduce
+    if not reduce:
+        return []
+    for name in (*reduce.metrics, *reduce.share):
+        found = np.bincount(
+            np.asarray(store.array(f"{name}_status")[...]).ravel(), minlength=len(REFUSED)
+        )
+        cells = {word: int(found[code]) for word, code in REFUSED.items() if found[code]}
+        whole = store.grid.cells
+        ok = _percent(cells.pop("ok", 0), whole)
+        why = [f"{_percent(n, whole)} {word}" for word, n in cells.items()]
+        texts.append(f"{name} {ok}" + (f" ({'; '.join(why)})" if why else ""))
+    allowed = f"where at most {_percent(reduce.untrusted, 1)} of the scenarios are not known"
+    return [*_in_lines("values", texts), f"{'':{HEAD}}{allowed} (`untrusted`)"]
 
 
 def held_lines(sweep: Sweep) -> list[str]:
@@ -69,7 +97,7 @@ def expectation(grid: Grid, compiling: float, rate: float) -> str:
     """How long a sweep will take, from seconds to compile a model and scenarios a second."""
     choices = grid.sweep.model.values()
     models = math.prod(len(choice) for choice in choices if isinstance(choice, list))
-    seconds = models * compiling + grid.own_cells / rate
+    seconds = models * compiling + grid.own_cells * grid.combinations / rate
     steps = rate * grid.sweep.n_steps / 1e6
     speed = f"{rate:,.0f} scenarios/s ({steps:,.{0 if steps >= 10 else 1}f} M steps/s)"
     return f"about {_duration(seconds)} at {speed} on this machine, measured just now"
@@ -84,11 +112,13 @@ def status_lines(store: Store) -> list[str]:
     return [
         f"{store.path}: {grid.sweep.name}, {_dims(grid)}",
         *_shard(grid),
+        *_reduced(grid),
         f"done      {counts.done:,} of {cells:,} cells ({_percent(counts.done, cells)})",
         *(f"  {name:8}{count:>14,}" for name, count in counts.cells.items()),
         *(f"diverged  {scenario}" for scenario in diverged),
         *(f"failed    {block}" for block in _set_aside(store, counts.set_aside)),
         *_trusted(counts),
+        *reduced_lines(store),
         f"metrics   {DEFINITIONS[store.definition]}",
         *held_lines(grid.sweep),
         f"blocks    {len(counts.pending):,} of {len(grid.own):,} to do",
@@ -155,6 +185,7 @@ def progress_line(progress: Progress) -> str:
         return "compiling" if progress.done < progress.cells else "complete already"
     rate = progress.ran / progress.seconds
     left = (progress.cells - progress.done) / rate
+    rate *= progress.combinations
     return f"{rate:,.0f} scenarios/s, {_duration(left)} left"
 
 
@@ -168,13 +199,16 @@ def log_line(progress: Progress) -> str:
 def summary(store: Store, result: Progress) -> str:
     """What a run has done."""
     if not result.ran and not result.set_aside:
-        return f"{store.path}: complete already, {counted(result.cells, 'scenario')}"
-    rate = result.ran / result.seconds
+        scenarios = counted(result.cells * result.combinations, "scenario")
+        return f"{store.path}: complete already, {scenarios}"
+    ran = result.ran * result.combinations
+    rate = ran / result.seconds
     steps = rate * store.grid.sweep.n_steps / 1e6
     speed = f", {rate:,.0f}/s ({steps:,.0f} M steps/s)" if steps >= 1 else ""
     diverged = f", {result.diverged:,} diverged" if result.diverged else ""
-    first = f"{counted(result.ran, 'scenario')} in {_duration(result.seconds)}{speed}{diverged}"
-    return "\n".join([f"{store.path}: {first}", *_trusted(Counts.of(store))])
+    first = f"{counted(ran, 'scenario')} in {_duration(result.seconds)}{speed}{diverged}"
+    lines = [f"{store.path}: {first}", *_trusted(Counts.of(store)), *reduced_lines(store)]
+    return "\n".join(lines)
 
 
 def merged(store: Store) -> str:
@@ -220,7 +254,8 @@ def interrupted(store: Store, error: BaseException) -> str:
     why = "interrupted" if isinstance(error, KeyboardInterrupt) else f"failed: {_reason(error)}"
     rest = f"{_resume(store)} does the rest"
     try:
-        done, all_ = Counts.of(store).done, store.grid.own_cells
+        each = store.grid.combinations
+        done, all_ = Counts.of(store).done * each, store.grid.own_cells * each
     except (OSError, SweepError):  # the folder is gone, or has become unreadable
         return f"{why}; what was finished is kept if the folder is, {rest}"
     return f"{why}; {done:,} of {counted(all_, 'scenario')} are kept, {rest}"
@@ -275,5 +310,5 @@ def counted(n: int, noun: str) -> str:
     return f"{n:,} {noun}" + ("" if n == 1 else "s")
 
 
-def _percent(part: int, whole: int) -> str:
+def _percent(part: float, whole: int) -> str:
     return f"{100 * part / max(whole, 1):.4g} %"

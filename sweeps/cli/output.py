@@ -83,6 +83,8 @@ def history(
     from sweeps.store.opening import dataset, open_store
 
     data, store = dataset(path), open_store(path)
+    if store.grid.sweep.reduce:
+        refuse(f"{path}: is reduced, and a cell of it has no motion; name a store of all its cells")
     wanted = [dict(zip(values, cell, strict=True)) for cell in itertools.product(*values.values())]
     with unreadable_refused(path), _plot_errors_refused(path):
         cells = select(data, wanted)
@@ -123,7 +125,8 @@ def export(
                 os._exit(1)  # HDF5 could not close its file, and would crash now
             raise typer.Exit(1) from None
     names = " and ".join(map(str, files(target, to.value)))
-    print(f"wrote {names}, {counted(rows, 'scenario')}{_old_definition(data)}")
+    noun = "cell" if "reduced_over" in data.attrs else "scenario"
+    print(f"wrote {names}, {counted(rows, noun)}{_old_definition(data)}")
     grid = open_store(path).grid
     others = grid.cells - grid.own_cells
     left = int((data["status"] == NOT_RUN).sum()) - others

@@ -1,7 +1,7 @@
 """A sweep's cells in blocks, and the scenarios of one block."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, cast
@@ -19,6 +19,9 @@ from sweeps.spec.types import Sweep
 # scenarios have very many steps.
 BLOCK_STEPS = 300_000_000  # plant steps
 SMALLEST_BLOCK, LARGEST_BLOCK = 4_096, 1_000_000  # cells
+# A reduced store has small values, and a file takes at least 4 kB of a disk: with more scenarios it
+# gets blocks of up to LARGEST_BLOCK of them instead of more blocks.
+FEW_BLOCKS = 1_000
 MAX_BLOCKS = 1_000_000  # of a sweep: each is a file in every variable's folder and a ledger row
 MAX_BLOCK = 10_000_000  # cells of a block: all metrics and errors of it take 1 GB of memory
 ESTIMATE_COST = 6  # an error estimate adds a run with half the step and located switches
@@ -30,9 +33,10 @@ Block = tuple[slice, ...]
 class Grid:
     """The cells of a sweep, in blocks of at most `chunk` cells.
 
-    A cell is one scenario's place in the product of the sweep's dimensions. Raises SweepError if
-    `chunk` makes too many blocks for a ledger or a block too large for memory, or if there are more
-    shards than blocks.
+    A cell is one scenario's place in the product of the sweep's dimensions; with a reduction, it is
+    the place of all scenarios that differ in the dimensions that go. Raises SweepError if `chunk`
+    makes too many blocks for a ledger or a block too large for memory, or if there are more shards
+    than blocks.
     """
 
     sweep: Sweep
@@ -42,7 +46,7 @@ class Grid:
     def __post_init__(self) -> None:
         for what, n, most in (
             ("blocks", self.n_blocks, MAX_BLOCKS),
-            ("cells in a block", math.prod(self.block_shape), MAX_BLOCK),
+            ("cells in a block", math.prod(self.block_shape) * self.candidates, MAX_BLOCK),
         ):
             if n > most:
                 wanted = f"a number of cells that makes at most {most:,} {what}"
@@ -55,8 +59,25 @@ class Grid:
 
     @cached_property
     def dims(self) -> dict[str, int]:
-        """Name and length of each dimension, in order."""
-        return self.sweep.dims
+        """Name and length of each dimension of the store, in order."""
+        gone = self.sweep.reduce.gone if self.sweep.reduce else ()
+        return {name: n for name, n in self.sweep.dims.items() if name not in gone}
+
+    @cached_property
+    def full(self) -> "Grid":
+        """All scenarios, each in its own cell: this grid unless it is reduced."""
+        return Grid(self.sweep.model_copy(update={"reduce": None})) if self.sweep.reduce else self
+
+    @property
+    def combinations(self) -> int:
+        """Scenarios of a cell."""
+        return math.prod(self.sweep.dims.values()) // self.cells
+
+    @property
+    def candidates(self) -> int:
+        """Values of a dimension from which a reduction chooses the best one; 1 if there is none."""
+        best = self.sweep.reduce.best if self.sweep.reduce else None
+        return self.sweep.dims[best] if best else 1
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -71,7 +92,11 @@ class Grid:
         """The most cells a block may have."""
         if self.chunk:
             return self.chunk
-        cells = min(max(BLOCK_STEPS // self.work, SMALLEST_BLOCK), LARGEST_BLOCK)
+        scenarios = min(max(BLOCK_STEPS // self.work, SMALLEST_BLOCK), LARGEST_BLOCK)
+        if self.sweep.reduce:
+            enough = min(self.full.cells // FEW_BLOCKS, LARGEST_BLOCK)
+            scenarios = max(scenarios, enough)
+        cells = max(scenarios // self.combinations, 1)
         return max(cells, 4 * self.cells // MAX_BLOCKS)  # halving may make blocks 4 times smaller
 
     @property
@@ -85,8 +110,12 @@ class Grid:
 
         All cells of a block have the same model, because each model is its own compiled program.
         """
-        sides = [1 if dim in self.sweep.model else n for dim, n in self.dims.items()]
-        while math.prod(sides) > self.block_cells:
+        return self.halved(self.dims, self.block_cells)
+
+    def halved(self, dims: Mapping[str, int], most: int) -> tuple[int, ...]:
+        """Sides of a box of at most `most` cells along some dimensions; 1 along a choice."""
+        sides = [1 if dim in self.sweep.model else n for dim, n in dims.items()]
+        while math.prod(sides) > most:
             longest = sides.index(max(sides))
             sides[longest] = -(-sides[longest] // 2)
         return tuple(sides)

@@ -7,7 +7,7 @@ from typing import Any
 
 from fic_jax import CHOICES, QUANTITIES
 from sweeps.spec.mistakes import SweepError, hint, printable
-from sweeps.spec.types import Time
+from sweeps.spec.types import Reduction, Time
 
 # keys outside any table
 TOP_LEVEL = ("name", "description", "metrics", "error_estimate", "precision")
@@ -39,6 +39,7 @@ def override(raw: dict[str, Any], text: str) -> None:
     parsed = _value(value)
     tables = dict.fromkeys(Time.model_fields, "time") | dict.fromkeys(CHOICES, "model")
     tables |= dict.fromkeys(("n", "method", "seed"), "sample")
+    tables |= dict.fromkeys(Reduction.model_fields, "reduce")
     if key in QUANTITIES:
         if isinstance(parsed, str):
             raise SweepError(f"--set {printable(text)}: {_syntax(key, value)}")
@@ -64,6 +65,7 @@ def _value(text: str) -> Any:
     return text
 
 
+LONGEST_NUMBER = 24  # characters of a float64 in decimals
 _WORD = re.compile(r"\w+")
 _LIST_OF_WORDS = re.compile(r"\[\s*[a-z]\w*(?:\s*,\s*[a-z]\w*)*\s*\]")
 # the numbers 1. and .5
@@ -73,7 +75,8 @@ _BARE_POINT = re.compile(r"(?<![\w.])(?:(\d+)\.(?![\d.])|\.(\d+))")
 def _syntax(key: str, value: str) -> str:
     """How a field is given a number, a list or a range; with the two numbers that `value` has."""
     numbers = re.findall(r"\d+(?:\.\d+)?(?:[eE][+-]?\d+)?|(?<!\.)\.\d+", value)
-    ends = f"[{', '.join(numbers)}]" if len(numbers) == 2 else "[1, 100]"
+    short = len(numbers) == 2 and max(map(len, numbers)) <= LONGEST_NUMBER
+    ends = f"[{', '.join(numbers)}]" if short else "[1, 100]"
     forms = [f"--set '{key}={form}'" for form in (ends, f"{{ lin = {ends}, n = 16 }}")]
     return (
         f"`{key}` must be a number, a list or a range (lin or log), as in {forms[0]} or {forms[1]}"

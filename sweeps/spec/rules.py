@@ -1,6 +1,7 @@
 """Checks of a Sweep that need more than one key; each yields a line for each mistake."""
 
 import math
+import re
 from collections.abc import Container, Iterator
 from typing import Any, cast
 
@@ -8,18 +9,23 @@ import numpy as np
 
 from fic_jax import CHOICES, QUANTITIES, Model, Params, ParamsError
 from fic_jax.params import check, check_field
+from sweeps.spec.condition import ConditionError, names
 from sweeps.spec.mistakes import excerpt, hint, misplaced
 from sweeps.spec.types import (
     MAX_AXIS,
     MAX_CELLS,
     MAX_PERIODS,
+    MAX_REDUCED,
     MAX_STEPS,
+    MAX_VALUES,
     ROUNDING,
     STORED,
+    Reduction,
     SpacedRange,
     Sweep,
 )
 
+_SHARE = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,49}")  # `data.calm_share` of a store
 TABLES = ("constants", "axes", "cases")
 
 
@@ -48,6 +54,86 @@ def unknown_names(sweep: Sweep) -> Iterator[str]:
             yield f"unknown metric `{name}`{hint(name, STORED)}"
     if len(set(sweep.metrics)) < len(sweep.metrics):
         yield f"`metrics` must be different from each other, but is {sweep.metrics}."
+
+
+def reduction(sweep: Sweep) -> Iterator[str]:
+    """Dimensions, metrics and conditions of a `[reduce]` that the sweep does not have."""
+    if not (reduce := sweep.reduce):
+        return
+    yield from _dimensions(list(sweep.dims), reduce)
+    metrics = list(sweep.metrics)
+    if not (reduce.metrics or reduce.share):
+        yield "`reduce` must name a statistic (max, min, mean, std, quantiles, share or best)."
+    for key in ("max", "min", "mean", "std", "quantiles", "by"):
+        listed = getattr(reduce, key) or []
+        for name in [listed] if isinstance(listed, str) else listed:
+            if name not in metrics:
+                yield f"`reduce.{key}` must name metrics of the sweep, but has `{name}`" + (
+                    "; `metrics` lacks it" if name in STORED else hint(name, metrics)
+                )
+        if isinstance(listed, list) and len(set(listed)) < len(listed):
+            yield f"`reduce.{key}` must be different from each other, but is {listed}."
+    for name, parts in reduce.quantiles.items():
+        if len(set(parts)) < len(parts):
+            yield f"`reduce.quantiles.{name}` must be parts that differ, but is {parts}."
+    yield from _conditions(reduce, metrics)
+    yield from _reduced_sizes(sweep, reduce)
+
+
+def _dimensions(dims: list[str], reduce: Reduction) -> Iterator[str]:
+    """Dimensions that go must be there, each once, and leave one."""
+    for key, wanted in (("over", reduce.over), ("best", [reduce.best] if reduce.best else [])):
+        for name in wanted:
+            if name not in dims:
+                held = " (which the sweep holds constant)" if name in QUANTITIES else ""
+                there = f"; there are {', '.join(dims)}" if held else hint(name, dims)
+                yield f"`reduce.{key}` must name dimensions, but has `{name}`{held}{there}"
+    if len(set(reduce.over)) < len(reduce.over):
+        yield f"`reduce.over` must be different from each other, but is {reduce.over}."
+    if reduce.best in reduce.over:
+        yield f"`reduce.best` must be a dimension that is not in `reduce.over`: `{reduce.best}`."
+    if (reduce.best is None) != (reduce.by is None):
+        given, missing = ("by", "best") if reduce.best is None else ("best", "by")
+        yield f"`reduce.{missing}` must be given with `reduce.{given}`, but is missing."
+    if dims and not set(dims) - set(reduce.gone):
+        yield "`reduce` must leave a dimension of the sweep, but `over` and `best` take all."
+
+
+def _conditions(reduce: Reduction, metrics: list[str]) -> Iterator[str]:
+    for name, text in reduce.share.items():
+        if not _SHARE.fullmatch(name):
+            wanted = "a letter, then letters, digits and _, at most 50"
+            yield f"`reduce.share` must have names of {wanted}, but has {excerpt(name)}."
+        if name in (*STORED, "diverged", "not_run") or name.endswith("_untrusted"):
+            yield f"`reduce.share.{name}` must have another name: `{name}_share` is taken."
+        try:
+            used = names(text)
+        except ConditionError as wanted:
+            yield f"`reduce.share.{name}` must be {wanted}, but is {excerpt(text)}."
+            continue
+        for unknown in (n for n in used if n not in metrics and n not in QUANTITIES):
+            known = hint(unknown, [*metrics, *QUANTITIES])
+            yield f"`reduce.share.{name}` must have names of metrics and fields alone, but has " + (
+                f"`{unknown}`{known}"
+            )
+        if not set(used) & set(metrics):
+            yield f"`reduce.share.{name}` must name a metric, but is {excerpt(text)}."
+
+
+def _reduced_sizes(sweep: Sweep, reduce: Reduction) -> Iterator[str]:
+    """What a cell of the store is computed from must fit into a block, and quantiles in memory."""
+    combinations = math.prod(sweep.dims.get(name, 1) for name in reduce.gone)
+    if combinations > MAX_REDUCED:
+        yield (
+            f"`reduce` must make a cell of at most {MAX_REDUCED:,} scenarios, but takes "
+            f"{excerpt(combinations)}: a block is lost with an interruption."
+        )
+    held = combinations * len(reduce.quantiles)
+    if held > MAX_VALUES:
+        yield (
+            f"`reduce.quantiles` must be of at most {MAX_VALUES:,} values for each cell, but has "
+            f"{excerpt(held)}: they are held in memory and sorted."
+        )
 
 
 def known_names(sweep: Sweep) -> Sweep:

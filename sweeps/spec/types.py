@@ -20,6 +20,8 @@ MAX_AXIS = 10_000_000  # values of one axis: memory holds them all, but never th
 MAX_PERIODS = 1_000_000  # values of a `period` axis: each is compared with dt
 MAX_CASES = 10_000  # rows of [cases]: a person writes them
 MAX_CELLS = 10**12  # scenarios of a sweep: each float32 variable then takes 4 TB
+MAX_REDUCED = 1_000_000_000  # scenarios of a cell of a reduced store: hours, without a commit
+MAX_VALUES = 100_000_000  # of a quantile: 0.4 to 0.8 GB
 MAX_NAMES = 100  # metrics or choices in a list: fic_jax has fewer
 MAX_STEPS = 100_000_000  # plant steps: the engine counts them in int32
 PIECE = 1_000_000  # values computed at once: extended precision takes 16 bytes for each
@@ -175,6 +177,46 @@ class RandomDesign(Record):
     ranges: Annotated[dict[str, Range], Field(min_length=1)]
 
 
+Condition = Annotated[str, Field(max_length=1_000)]
+Part = Annotated[Number, Field(ge=0, le=1)]
+MetricNames = Annotated[list[str], Field(fail_fast=True, max_length=MAX_NAMES)]
+
+
+class Reduction(Record):
+    """Table `[reduce]`: the dimensions that go, and what the store keeps of the cells along them.
+
+    A statistic is over all combinations of the dimensions in `over`. With `best`, that dimension
+    goes too: each statistic is at its value with the smallest worst case of `by`.
+    """
+
+    over: Names
+    max: MetricNames = []
+    min: MetricNames = []
+    mean: MetricNames = []
+    std: MetricNames = []
+    quantiles: Annotated[
+        dict[str, Annotated[list[Part], Field(min_length=1, max_length=MAX_NAMES)]],
+        Field(max_length=MAX_NAMES),
+    ] = {}
+    share: Annotated[dict[str, Condition], Field(max_length=MAX_NAMES)] = {}
+    best: str | None = None
+    by: str | None = None
+    # A value is refused where a larger part of its scenarios has no number that is trusted.
+    untrusted: Part = 0.0
+
+    @property
+    def gone(self) -> list[str]:
+        """The dimensions that the store does not have."""
+        return [*self.over, *([self.best] if self.best else [])]
+
+    @property
+    def metrics(self) -> list[str]:
+        """The metrics of which the store keeps a statistic, without those in conditions."""
+        by = [self.by] if self.by else []
+        named = (self.max, self.min, self.mean, self.std, self.quantiles, by)
+        return list(dict.fromkeys(name for names in named for name in names))
+
+
 class Sweep(Record):
     """A sweep file. With the program and the precision it determines every number of a store."""
 
@@ -189,6 +231,7 @@ class Sweep(Record):
     axes: dict[str, Axis] = {}
     cases: dict[str, Column] = {}
     sample: RandomDesign | None = None
+    reduce: Reduction | None = None
 
     @property
     def n_steps(self) -> int:
@@ -201,7 +244,10 @@ class Sweep(Record):
 
     @property
     def dims(self) -> dict[str, int]:
-        """Name and length of each dimension, in order: model lists, axes, `case`, `scenario`."""
+        """Name and length of each dimension, in order: model lists, axes, `case`, `scenario`.
+
+        Those that a reduction takes away are among them: a `Grid` has the dimensions of the store.
+        """
         dims = {name: len(c) for name, c in self.model.items() if isinstance(c, list)}
         for name, axis in self.axes.items():
             dims[name] = axis.n if isinstance(axis, SpacedRange) else len(axis)

@@ -47,7 +47,7 @@ def _equal_values(sweep: Sweep) -> Iterator[Warned]:
     """Neighbours on an axis that the precision of the run does not tell apart."""
     for name, axis in sweep.axes.items():
         values = np.sort(axis) if isinstance(axis, list) else axis.closest()
-        with np.errstate(over="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):
             same = np.flatnonzero(np.diff(values.astype(f"float{sweep.bits}")) == 0)
         if same.size:
             one, other = values[same[0] : same[0] + 2]

@@ -6,6 +6,7 @@ Read the files in this order; each uses only those above it.
     fsync.py     put whole files on the disk
     lock.py      let one process at a time change a store
     ledger.py    ledger.sqlite: one row for each finished block, with the checksums of its files
+    reduced.py   the variables of a reduced store
     format.py    what is on the disk: arrays, flags, attributes
     opening.py   open a store, count it, read it
     create.py    make an empty store, or build another: whole, or not at all

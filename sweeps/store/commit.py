@@ -21,7 +21,6 @@ from sweeps.store import fsync
 from sweeps.store.format import (
     DEFINITION,
     DIVERGED,
-    FLAGS,
     FORMAT,
     NO_ESTIMATE,
     NOT_TRUSTED,
@@ -115,9 +114,12 @@ def values_of(metrics: Metrics, errors: Metrics | None, t_end: float) -> Values:
 
 def no_values(grid: Grid, index: int) -> Values:
     """The variables of a block that was not run."""
-    n, names = cells_of(grid.block(index)), store_format.variable_names(grid.sweep)
+    n, sweep = cells_of(grid.block(index)), grid.sweep
     # the flags say "not run" and "no estimate"
-    return {name: np.zeros(n, int) if name in FLAGS else np.full(n, np.nan) for name in names}
+    return {
+        name: np.zeros(n, int) if store_format.flags(sweep, name) else np.full(n, np.nan)
+        for name in store_format.variable_names(sweep)
+    }
 
 
 def read_block(store: Store, row: Row) -> Values | None:

@@ -125,6 +125,9 @@ def _nearest(known: np.ndarray, given: np.ndarray, rounding: np.ndarray) -> np.n
 def _differences(store: Store, new: Sweep) -> Iterator[str]:
     """What must be equal in both sweeps and differs."""
     old = store.grid.sweep
+    if old.reduce or new.reduce:
+        yield "`reduce` can't be extended: a larger sweep runs into a store of its own."
+        return
     if new.precision and f"float{new.precision}" != store.dtype:
         yield f"`precision` must be that of the store, {store.dtype.removeprefix('float')}."
     for key in ("time", "error_estimate"):

@@ -11,6 +11,7 @@ from zarr.codecs import BloscCodec, Crc32cCodec
 from fic_jax import METRICS, QUANTITIES, TRUST
 from sweeps.plan.grid import Grid
 from sweeps.spec.types import STORED, Sweep
+from sweeps.store import reduced
 
 # attributes that say which cells and blocks a store has -> what of a command line says it
 OF_RUN = {"sweep": "sweep", "error_estimate": "--error-estimate", "block_cells": "--chunk"}
@@ -24,6 +25,8 @@ DEFINITIONS = {  # name in a store -> what its metrics are; formats 1 and 2 have
 
 NOT_RUN, OK, DIVERGED, FAILED = range(4)
 STATUS = {"not run": NOT_RUN, "ok": OK, "diverged": DIVERGED, "failed": FAILED}
+UNTRUSTED = 4  # of a statistic of a reduced store; a cell has none of it
+REFUSED = STATUS | {reduced.NOT_TRUSTED: UNTRUSTED}  # why a statistic has no value, or OK
 NO_ESTIMATE, NOT_TRUSTED, TRUSTED = range(3)
 TRUSTWORTHY = {"no estimate": NO_ESTIMATE, "not trusted": NOT_TRUSTED, "trusted": TRUSTED}
 ERRORS = {f"{name}_error": name for name in STORED}  # error estimate -> its metric
@@ -43,15 +46,24 @@ FLAT: Any = {"name": "default", "separator": "."}
 
 def judgements(sweep: Sweep, form: int = FORMAT) -> dict[str, str]:
     """The flags of a store of format `form` that say what is trusted -> the metric of each."""
-    if not sweep.error_estimate:
+    if not sweep.error_estimate or sweep.reduce:
         return {}
     return {f"{name}_trusted": name for name in sweep.metrics} if form > 2 else OLD_JUDGEMENTS
 
 
 def variable_names(sweep: Sweep, form: int = FORMAT) -> list[str]:
     """The variables of a store of format `form`, in the order they are written."""
+    if sweep.reduce:
+        return [*reduced.variables(sweep, REFUSED), "status"]
     errors = [f"{name}_error" for name in sweep.metrics] if sweep.error_estimate else []
     return [*sweep.metrics, *errors, *judgements(sweep, form), "status"]
+
+
+def flags(sweep: Sweep, name: str) -> dict[str, int]:
+    """The words of a flag variable and their codes; empty if the variable is none."""
+    if sweep.reduce and name != "status":
+        return reduced.variables(sweep, REFUSED)[name].flags
+    return FLAGS.get(name, {})
 
 
 def bound(name: str) -> str:
@@ -96,16 +108,24 @@ def arrays(grid: Grid, dtype: str, form: int = FORMAT) -> Iterator[dict[str, Any
 
 def variable(grid: Grid, name: str, dtype: str) -> dict[str, Any]:
     """Arguments of `zarr.create_array` for a variable."""
-    if name in FLAGS:
-        dtype, fill = "uint8", 0.0
-        attributes = _flag_meaning(name) | {
-            "flag_values": list(FLAGS[name].values()),
-            "flag_meanings": " ".join(word.replace(" ", "_") for word in FLAGS[name]),
-        }
+    fill, words = np.nan, flags(grid.sweep, name)
+    if grid.sweep.reduce and name != "status":
+        one = reduced.variables(grid.sweep, REFUSED)[name]
+        dtype = one.dtype or dtype
+        attributes: dict[str, Any] = {"units": one.units, "long_name": one.long_name}
+        attributes |= {"ancillary_variables": one.status} if one.status else {}  # CF conventions
+    elif words:
+        attributes = _flag_meaning(name)
     else:
-        fill, metric = np.nan, METRICS[ERRORS.get(name, name)]
+        metric = METRICS[ERRORS.get(name, name)]
         prefix = "estimated error of " if name in ERRORS else ""
         attributes = {"units": metric["unit"], "long_name": prefix + metric["meaning"]}
+    if words:
+        dtype, fill = "uint8", 0.0
+        attributes |= {
+            "flag_values": list(words.values()),
+            "flag_meanings": " ".join(word.replace(" ", "_") for word in words),
+        }
     return {
         "name": name,
         "shape": grid.shape,
@@ -149,13 +169,40 @@ def attributes(grid: Grid) -> dict[str, Any]:
         "metrics_definition_meaning": DEFINITIONS[DEFINITION],
     }
     record |= {"shard": str(grid.shard)} if grid.shard else {}
+    record |= {"reduced_over": json.dumps(_ranges(grid))} if sweep.reduce else {}
     return record | ({"error_estimate_meaning": ESTIMATE} if sweep.error_estimate else {})
+
+
+def _ranges(grid: Grid) -> dict[str, list[Any]]:
+    """What varied along the dimensions that are gone: number of values, the least, the largest.
+
+    Of a choice all values; of a random design the ends of its ranges.
+    """
+    sweep, ranges = grid.sweep, {}
+    for dim in sweep.reduce.gone if sweep.reduce else ():
+        if dim in sweep.model:
+            ranges[dim] = [grid.full.dims[dim], *sweep.model[dim]]
+        elif dim == "scenario" and sweep.sample:
+            for name, drawn in sweep.sample.ranges.items():
+                ranges[name] = [sweep.sample.n, *sorted(drawn.ends)]
+        else:
+            for name in sweep.cases if dim == "case" else [dim]:
+                ends = sweep.outermost(name)
+                ranges[name] = [grid.full.dims[dim], float(ends.min()), float(ends.max())]
+    return ranges
 
 
 def size(grid: Grid, dtype: str) -> int:
     """Bytes of a finished store before compression: variables and coordinates."""
-    names = variable_names(grid.sweep)
-    cell = sum(1 if name in FLAGS else np.dtype(dtype).itemsize for name in names)
+    if grid.sweep.reduce:
+        own = [
+            1 if one.flags else np.dtype(one.dtype or dtype).itemsize
+            for one in reduced.variables(grid.sweep, REFUSED).values()
+        ]
+        cell = sum(own) + 1
+    else:
+        names = variable_names(grid.sweep)
+        cell = sum(1 if name in FLAGS else np.dtype(dtype).itemsize for name in names)
     coordinates = sum(n * 8 * len(grid.coordinates(d, slice(0, 1))) for d, n in grid.dims.items())
     return grid.own_cells * cell + coordinates
 

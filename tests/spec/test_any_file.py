@@ -12,6 +12,7 @@ import subprocess
 import sys
 
 import pytest
+import scipy.stats  # noqa: F401  its import executes five million lines: no file's fault
 
 from fic_jax import CHOICES, QUANTITIES
 from sweeps import LIBRARY
@@ -95,6 +96,14 @@ Td = [-1.0, 5.0, 20.0]
 [cases]
 Denv = [0.0, 63.2]
 gap = [0.0, 0.1]
+[reduce]
+over = ["case", "Td"]
+max = ["nmse"]
+quantiles = { nmse = [0.5, 0.95] }
+share = { calm = "nmse < 1e-3 and Td > 0" }
+best = "K0"
+by = "peak_torque"
+untrusted = 0.1
 """,
     """
 name = "drawn"

@@ -1,0 +1,306 @@
+"""The statistics of a block of a reduced store.
+
+A scenario counts for a statistic if it ran, did not diverge and, with error estimates, is trusted
+for the metrics that the statistic needs. The others are counted by kind.
+"""
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from fic_jax import QUANTITIES
+from sweeps.plan.grid import LARGEST_BLOCK, Block, Grid, shape_of
+from sweeps.spec.condition import holds, names
+from sweeps.spec.types import Reduction
+from sweeps.store.commit import Values
+from sweeps.store.format import DIVERGED, NOT_RUN, OK, TRUSTED, UNTRUSTED
+from sweeps.store.reduced import conditions, place_values, quantile
+
+Cells = Callable[[Block], Values]  # a box of scenarios -> metrics and flags, in storage order
+Rows = np.ndarray  # [cells of a box that stay, combinations of those that go]
+
+
+def block_values(grid: Grid, block: Block, cells: Cells) -> Values:
+    """The variables of a block, from its scenarios.
+
+    `cells` is called with boxes of `grid.full`, each of one model and of LARGEST_BLOCK scenarios at
+    most, in an order that the sweep alone decides.
+    """
+    reduce = grid.sweep.reduce
+    assert reduce
+    stay = dict(zip(grid.dims, block, strict=True))
+    if reduce.best:
+        stay[reduce.best] = slice(0, grid.candidates)
+    lengths = {dim: part.stop - part.start for dim, part in stay.items()}
+    found: dict[str, np.ndarray] = {}
+    for box in _boxes(grid, stay, LARGEST_BLOCK // math.prod(_over_sides(grid))):
+        for name, values in _statistics(grid, box, cells).items():
+            if name not in found:
+                found[name] = np.empty(tuple(lengths.values()), values.dtype)
+            inside = [
+                slice(part.start - stay[dim].start, part.stop - stay[dim].start)
+                for dim, part in box.items()
+            ]
+            found[name][tuple(inside)] = values.reshape(shape_of(tuple(inside)))
+    rows = {name: v.reshape(math.prod(shape_of(block)), -1) for name, v in found.items()}
+    return _chosen(grid, reduce, rows)
+
+
+def _over_sides(grid: Grid) -> tuple[int, ...]:
+    """Sides of a box along the dimensions that go: the same for any block."""
+    return grid.halved(_over(grid), LARGEST_BLOCK)
+
+
+def _over(grid: Grid) -> dict[str, int]:
+    """The dimensions that statistics are over, in the order of the sweep."""
+    assert grid.sweep.reduce
+    dims = grid.full.dims
+    return {dim: n for dim, n in dims.items() if dim in grid.sweep.reduce.over}
+
+
+def _boxes(grid: Grid, within: Mapping[str, slice], most: int) -> Iterator[dict[str, slice]]:
+    """Parts of a box, each of at most `most` cells and of one model."""
+    sides = grid.halved({dim: p.stop - p.start for dim, p in within.items()}, max(most, 1))
+    stretches = [
+        [slice(i, min(i + side, part.stop)) for i in range(part.start, part.stop, side)]
+        for part, side in zip(within.values(), sides, strict=True)
+    ]
+    return (dict(zip(within, box, strict=True)) for box in itertools.product(*stretches))
+
+
+def _statistics(grid: Grid, box: Mapping[str, slice], cells: Cells) -> dict[str, np.ndarray]:
+    """All that the scenarios of some cells say, by name: arrays [cells of the box]."""
+    reduce, sweep = grid.sweep.reduce, grid.sweep
+    assert reduce
+    over, dims = _over(grid), list(grid.full.dims)
+    order = [dims.index(dim) for dim in (*box, *over)]
+    n = math.prod(part.stop - part.start for part in box.values())
+    needs = {name: [name] for name in reduce.metrics} | conditions(reduce, sweep.metrics)
+    in_conditions = {n for text in reduce.share.values() for n in names(text)} & QUANTITIES.keys()
+    total = Totals(reduce, n, math.prod(over.values()), list(needs))
+    places = np.arange(total.combinations).reshape(tuple(over.values()))
+    for part in _boxes(grid, {dim: slice(0, m) for dim, m in over.items()}, _box_cells(grid)):
+        both = {**box, **part}
+        scenarios = tuple(both[dim] for dim in dims)
+        shape = shape_of(scenarios)
+
+        def rows(column: np.ndarray, shape: tuple[int, ...] = shape) -> Rows:
+            """[scenarios in storage order] -> [cells that stay, combinations]."""
+            return column.reshape(shape).transpose(order).reshape(n, -1)
+
+        values = cells(scenarios)
+        named: dict[str, Any] = {m: rows(values[m]) for m in _used(needs)}
+        if in_conditions:
+            fields = vars(grid.full.params(scenarios))
+            named |= {k: rows(fields[k]) if fields[k].ndim else fields[k] for k in in_conditions}
+        status = rows(values["status"])
+        trusted = {
+            metric: rows(values[f"{metric}_trusted"]) == TRUSTED
+            for metric in _used(needs)
+            if sweep.error_estimate
+        }
+        total.count(status)
+        for name, metrics in needs.items():
+            known = status == OK
+            for metric in metrics:
+                known &= trusted.get(metric, True) & ~np.isnan(named[metric])
+            total.judge(name, known)
+            if name in reduce.share:
+                total.hold(name, known & holds(reduce.share[name], named))
+            else:
+                total.fold(name, named[name], known, places[tuple(part.values())].ravel())
+    return total.results()
+
+
+def _box_cells(grid: Grid) -> int:
+    return math.prod(_over_sides(grid))
+
+
+def _used(needs: Mapping[str, Sequence[str]]) -> list[str]:
+    """The metrics that are needed, each once."""
+    return list(dict.fromkeys(metric for metrics in needs.values() for metric in metrics))
+
+
+@dataclass
+class Totals:
+    """Counts, extremes and moments of n cells, box by box."""
+
+    reduce: Reduction
+    n: int  # cells
+    combinations: int  # scenarios of each
+    names: list[str]  # metrics and conditions
+    counts: dict[str, np.ndarray] = field(default_factory=dict)  # [n] each
+    extremes: dict[str, np.ndarray] = field(default_factory=dict)
+    places: dict[str, np.ndarray] = field(default_factory=dict)  # of the extremes
+    sums: dict[str, np.ndarray] = field(default_factory=dict)
+    squares: dict[str, np.ndarray] = field(default_factory=dict)  # of deviations from the mean
+    held: dict[str, list[np.ndarray]] = field(default_factory=dict)  # values, for quantiles
+
+    def _add(self, name: str, there: Rows) -> None:
+        self.counts[name] = self.counts.get(name, 0) + there.sum(axis=1)
+
+    def count(self, status: Rows) -> None:
+        """Add scenarios by their status."""
+        self._add("ran", status == OK)
+        self._add("diverged", status == DIVERGED)
+
+    def judge(self, name: str, known: Rows) -> None:
+        """Add the scenarios that a metric or condition may use."""
+        self._add(f"{name} known", known)
+
+    def hold(self, name: str, true: Rows) -> None:
+        """Add the scenarios for which a condition holds."""
+        self._add(f"{name} true", true)
+
+    def fold(self, metric: str, values: Rows, known: Rows, places: np.ndarray) -> None:
+        """Add the known values of a metric, at `places` among all combinations."""
+        reduce = self.reduce
+        if metric in reduce.max or metric == reduce.by:
+            self._extreme(f"{metric}_max", -values, known, places)
+        if metric in reduce.min:
+            self._extreme(f"{metric}_min", values, known, places)
+        if metric in (*reduce.mean, *reduce.std):
+            self._moments(metric, values, known)
+        if metric in reduce.quantiles:
+            self.held.setdefault(metric, []).append(np.where(known, values, np.nan))
+
+    def _extreme(self, name: str, values: Rows, known: Rows, places: np.ndarray) -> None:
+        """The smallest value and its first place; the order of the boxes does not matter."""
+        least = np.where(known, values, np.inf)
+        first = np.argmin(least, axis=1)
+        lowest = np.take_along_axis(least, first[:, None], 1)[:, 0]
+        infinite = np.isposinf(lowest)  # then the first known one is as small as any
+        first = np.where(infinite, np.argmax(known, axis=1), first)
+        # no place, beyond all others, where nothing is known
+        place = np.where(known.any(axis=1), places[first], self.combinations)
+        if name in self.extremes:
+            before, there = self.extremes[name], self.places[name]
+            earlier = (before < lowest) | ((before == lowest) & (there < place))
+            lowest, place = np.where(earlier, before, lowest), np.where(earlier, there, place)
+        self.extremes[name], self.places[name] = lowest, place
+
+    def _moments(self, metric: str, values: Rows, known: Rows) -> None:
+        """Sums of a box in double precision, merged as by Chan, Golub and LeVeque (1979)."""
+        n_before = self.counts[f"{metric} known"] - known.sum(axis=1)
+        n = known.sum(axis=1)
+        x = np.where(known, values, 0).astype(np.float64)
+        total = x.sum(axis=1)
+        if metric in self.reduce.std:
+            with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+                deviation = np.where(known, x - (total / n)[:, None], 0.0)
+                squares = (deviation**2).sum(axis=1)
+                if metric in self.sums:
+                    apart = total / n - self.sums[metric] / n_before
+                    both = np.where((n > 0) & (n_before > 0), n * n_before, 0) / (n + n_before)
+                    squares += self.squares[metric] + np.where(both > 0, apart**2 * both, 0.0)
+            self.squares[metric] = squares
+        self.sums[metric] = self.sums.get(metric, 0.0) + total
+
+    def results(self) -> dict[str, np.ndarray]:
+        """The statistics, not yet refused: NaN where nothing is known."""
+        reduce, counts, out = self.reduce, self.counts, dict[str, np.ndarray]()
+        ran, diverged = counts["ran"], counts["diverged"]
+        absent = self.combinations - ran - diverged
+        out["diverged_share"] = diverged / self.combinations
+        out["not_run_share"] = absent / self.combinations
+        for name in self.names:
+            known = counts[f"{name} known"]
+            doubted = ran - known
+            out[f"{name}_untrusted_share"] = doubted / self.combinations
+            kinds = np.array([DIVERGED, UNTRUSTED, NOT_RUN])
+            most = kinds[np.argmax([diverged, doubted, absent], axis=0)]
+            missing = self.combinations - known
+            refused = (missing > reduce.untrusted * self.combinations) | (known == 0)
+            out[f"{name}_status"] = np.where(refused, most, OK).astype(np.uint8)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            for name in reduce.share:
+                out[f"{name}_share"] = counts[f"{name} true"] / counts[f"{name} known"]
+            for metric, total in self.sums.items():
+                known = counts[f"{metric} known"]
+                out[f"{metric}_mean"] = total / known
+                if metric in self.squares:
+                    spread = np.sqrt(self.squares[metric] / known)
+                    # a value that is infinite is infinitely far from the others
+                    out[f"{metric}_std"] = np.where(np.isinf(total), np.inf, spread)
+        for name, lowest in self.extremes.items():
+            nowhere = self.places[name] == self.combinations
+            value = -lowest if name.endswith("_max") else lowest
+            out[name] = np.where(nowhere, np.nan, value)
+            out[f"{name} place"] = np.where(nowhere, -1, self.places[name])
+        for metric, boxes in self.held.items():
+            ordered = np.sort(np.concatenate(boxes, axis=1), axis=1)  # NaN last
+            known = counts[f"{metric} known"]
+            for part in reduce.quantiles[metric]:
+                at = np.clip(np.ceil(known * part).astype(int) - 1, 0, None)
+                out[quantile(metric, part)] = np.take_along_axis(ordered, at[:, None], 1)[:, 0]
+        return out
+
+
+def _chosen(grid: Grid, reduce: Reduction, rows: dict[str, np.ndarray]) -> Values:
+    """The variables of cells, from statistics [cells, candidates]: those of the best candidate."""
+    over = _over(grid)
+    out: Values = {}
+    if reduce.best:
+        at, best, lowest, refused = _best(reduce, rows)
+        places = place_values(grid, reduce.best, best)
+        out |= {f"best_{name}": values for name, values in places.items()}
+        out[f"{reduce.by}_at_best"] = np.where(refused, np.nan, lowest)
+        rows = {name: np.take_along_axis(v, at[:, None], 1) for name, v in rows.items()}
+        none = best < 0
+    else:
+        refused = none = np.zeros(len(rows["diverged_share"]), bool)
+    flat = {name: values[:, 0] for name, values in rows.items()}
+    needs = [*reduce.metrics, *reduce.share]
+    for name in needs:
+        status = flat[f"{name}_status"]
+        if reduce.best:  # what is not known of `by` leaves the choice open, and all that follows
+            status = np.where(refused, flat[f"{reduce.by}_status"], status)
+        out[f"{name}_status"] = status
+        good = (status == OK) & ~none
+        for statistic in _of(reduce, name):
+            out[statistic] = np.where(good, flat[statistic], np.nan)
+            if f"{statistic} place" in flat:
+                place = np.where(good, flat[f"{statistic} place"], -1)
+                index = np.unravel_index(np.maximum(place, 0), tuple(over.values()))
+                for dim, along in zip(over, index, strict=True):
+                    there = place_values(grid, dim, np.where(place < 0, -1, along))
+                    out |= {f"{statistic}_{key}": values for key, values in there.items()}
+        out[f"{name}_untrusted_share"] = flat[f"{name}_untrusted_share"]
+    for name in ("diverged_share", "not_run_share"):
+        out[name] = flat[name]
+    out["status"] = np.full(len(refused), OK)
+    return out
+
+
+def _of(reduce: Reduction, name: str) -> list[str]:
+    """The statistics of a metric or a condition."""
+    if name in reduce.share:
+        return [f"{name}_share"]
+    kinds = [key for key in ("max", "min", "mean", "std") if name in getattr(reduce, key)]
+    parts = [quantile(name, part) for part in reduce.quantiles.get(name, ())]
+    return [*(f"{name}_{key}" for key in kinds), *parts]
+
+
+def _best(
+    reduce: Reduction, rows: dict[str, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Of each cell: the candidate, the best one or -1, its worst case, and whether it is refused.
+
+    The worst case of a candidate is the largest known value of `by`, infinite where a scenario
+    diverged. Of a refused candidate it is a lower bound: if even that is larger than another worst
+    case, the choice does not depend on it; if it is the smallest, the cell is refused. Where all
+    worst cases are infinite none is best.
+    """
+    worst = np.where(rows["diverged_share"] > 0, np.inf, rows[f"{reduce.by}_max"])
+    worst = np.where(np.isnan(worst), -np.inf, worst)  # nothing is known of it
+    lowest = worst.min(axis=1)
+    smallest = worst == lowest[:, None]
+    sure = smallest & (rows[f"{reduce.by}_status"] == OK)
+    at = np.argmax(np.where(sure.any(axis=1)[:, None], sure, smallest), axis=1)
+    refused = ~sure.any(axis=1)
+    best = np.where(refused | np.isposinf(lowest), -1, at)
+    return at, best, lowest, refused

@@ -1,0 +1,183 @@
+"""`fic-sweep reduce`, and what one can get wrong about a reduction."""
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.command import FIC_SWEEP, call, typed
+from tests.test_runner import bits
+
+REDUCED = """
+name = "small"
+[time]
+t_end = 0.3
+[axes]
+K0 = [10.0, 100.0]
+Kenv = [50.0, 100.0, 500.0]
+Td = [1.0, 5.0, 12.0]
+[reduce]
+over = ["Td"]
+max = ["nmse"]
+share = { easy = "nmse < 1" }
+"""
+PAGE = Path(__file__).parents[2] / "docs" / "reduce.md"
+
+
+@pytest.fixture
+def small(tmp_path, monkeypatch):
+    (tmp_path / "small.toml").write_text(REDUCED)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A folder with a store, and the same reduced while it ran."""
+    folder = tmp_path_factory.mktemp("run")
+    (folder / "small.toml").write_text(REDUCED)
+    (folder / "all.toml").write_text(REDUCED.partition("[reduce]")[0])
+    call("run", "small.toml", code=0, folder=folder)
+    call("run", "all.toml", "--out", "all.zarr", code=0, folder=folder)
+    return folder
+
+
+def test_a_store_is_reduced_plotted_exported_and_verified(run, monkeypatch):
+    monkeypatch.chdir(run)
+    options = ("--over", "Td", "--max", "nmse", "--share", "easy: nmse < 1")
+    ended = typed("reduce", "all.zarr", *options)
+    assert (ended.code, ended.stderr) == (0, "")
+    assert ended.stdout.startswith("wrote all-reduced.zarr: 6 cells of 18 scenarios\n")
+    assert (
+        typed("plot", "all-reduced.zarr", "--x", "K0", "--y", "Kenv", "--metric", "nmse_max").code
+        == 0
+    )
+    assert typed("export", "all-reduced.zarr", "--to", "csv").code == 0
+    assert typed("export", "small.zarr", "--to", "csv").code == 0
+    assert (run / "all-reduced.csv").read_text() == (run / "small.csv").read_text()
+    assert "K0" in (run / "small.csv").read_text().splitlines()[0]
+    assert "all as written" in typed("verify", "all-reduced.zarr").stdout
+    status = typed("status", "small.zarr").stdout
+    assert "\nreduced over Td: K0 2 x Kenv 3 = 6 cells\n" in status
+    assert "\nvalues    nmse 100 %, easy 100 %\n" in status
+    assert "complete already, 18 scenarios" in typed("resume", "all-reduced.zarr").stdout
+
+
+def test_a_dry_run_names_both_sizes(small):
+    printed = typed("run", "small.toml", "--dry-run").stdout
+    assert "K0 2 x Kenv 3 x Td 3 = 18 scenarios of 30 steps\n" in printed
+    assert "reduced over Td: K0 2 x Kenv 3 = 6 cells\n" in printed
+    assert (
+        typed("run", "small.toml", "--set", 'best="Kenv"', "--set", "by=nmse", "--dry-run").code
+        == 0
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('["Td"]', '["Tb"]', "`reduce.over` must name dimensions, but has `Tb`; did you mean `Td`"),
+        ('["Td"]', '["I"]', "has `I` (which the sweep holds constant); there are K0, Kenv, Td"),
+        ('["Td"]', '["K0", "Kenv", "Td"]', "`reduce` must leave a dimension of the sweep"),
+        ('["Td"]', '["Td", "Td"]', "`reduce.over` must be different from each other"),
+        ('["nmse"]', '["nmze"]', "`reduce.max` must name metrics of the sweep, but has `nmze`;"),
+        ("nmse < 1", "nmse <", "`reduce.share.easy` must be a condition, as"),
+        ("nmse < 1", "nmze < 1", "alone, but has `nmze`; did you mean `nmse`"),
+        ("nmse < 1", "Td < 1", "`reduce.share.easy` must name a metric, but is"),
+        ("easy", "diverged", "must have another name: `diverged_share` is taken"),
+        ("easy", "9", "`reduce.share` must have names of a letter, then"),
+        (
+            "share = {",
+            'best = "Td"\nby = "nmse"\nshare = {',
+            "`reduce.best` must be a dimension that",
+        ),
+        ("share = {", 'best = "K0"\nshare = {', "`reduce.by` must be given with `reduce.best`"),
+        ("share = {", 'by = "nmse"\nshare = {', "`reduce.best` must be given with `reduce.by`"),
+        ("share = {", "untrusted = 2\nshare = {", "`reduce.untrusted` must be less than or equal"),
+        (
+            "share = {",
+            "quantiles = { nmse = [1.5] }\nshare = {",
+            "of `reduce.quantiles.nmse` must be",
+        ),
+        ('max = ["nmse"]\nshare = { easy = "nmse < 1" }', "", "must name a statistic"),
+        ("over = ", "ovr = ", "unknown key `reduce.ovr`; did you mean `over`?"),
+        ("[reduce]\nover", "over", "must stand in [reduce]"),
+    ],
+)
+def test_a_mistake_in_the_table_is_one_line(small, old, new, told):
+    assert old in REDUCED
+    (small / "small.toml").write_text(REDUCED.replace(old, new, 1))
+    ended = typed("run", "small.toml")
+    assert (ended.code, ended.stdout) == (2, "")
+    assert told in ended.stderr
+    assert all(line.startswith("fic-sweep: small.toml: ") for line in ended.stderr.splitlines())
+    assert not list(small.glob("*.zarr"))
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--over", "Tb", "--max", "nmse"), "all.zarr: `reduce.over` must name dimensions, but"),
+        (("--over", "Td"), "all.zarr: `reduce` must name a statistic (max, min, mean, std,"),
+        (("--over", "Td", "--share", "nmse < 1"), "--share nmse < 1: must be NAME:CONDITION, as"),
+        (
+            ("--over", "Td", "--share", "x: nmse <"),
+            "all.zarr: `reduce.share.x` must be a",
+        ),
+        (("--over", "Td", "--quantile", "nmse"), "--quantile nmse: must be METRIC=PART,..., as in"),
+        (("--over", "Td", "--max", "nmse", "--out", "small.zarr"), "small.zarr: exists already;"),
+        (("--over", "Td", "--best", "K0", "--by", "nmze"), "`reduce.by` must name metrics of the"),
+    ],
+)
+def test_a_wrong_request_is_one_line_and_writes_nothing(run, monkeypatch, options, told):
+    monkeypatch.chdir(run)
+    before = set(run.iterdir())
+    ended = typed("reduce", "all.zarr", *options)
+    assert (ended.code, ended.stdout) == (2, "")
+    assert told in ended.stderr and len(ended.stderr.splitlines()) == 1
+    assert set(run.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("reduce", "small.zarr", "--over", "K0", "--max", "nmse"), "is reduced already; reduce"),
+        (("history", "small.zarr", "--at", "K0=10"), "is reduced, and a cell of it has no motion"),
+        (("resume", "small.zarr", "--extend", "small.toml"), "`reduce` can't be extended"),
+        (("plot", "small.zarr", "--x", "K0", "--metric", "nmse"), "Did you mean 'nmse_max'?"),
+    ],
+)
+def test_what_a_reduced_store_does_not_do(run, monkeypatch, arguments, told):
+    monkeypatch.chdir(run)
+    ended = typed(*arguments)
+    assert (ended.code, ended.stdout) == (2, "")
+    assert told in ended.stderr and len(ended.stderr.splitlines()) == 1
+
+
+def test_a_killed_run_is_resumed_with_the_same_bits(small):
+    """SIGKILL once a block is in the ledger; the run may be over by then."""
+    whole = call("run", "small.toml", "--out", "whole.zarr", code=0, folder=small)
+    assert "18 scenarios" in whole.stdout
+    run = subprocess.Popen(
+        [FIC_SWEEP, "run", "small.toml", "--chunk", "1"], cwd=small, stdout=subprocess.DEVNULL
+    )
+    while run.poll() is None and not list(small.glob("small.zarr/status/c.*")):
+        pass
+    run.kill()
+    run.wait()
+    call("resume", "small.zarr", code=0, folder=small)
+    assert bits(small / "small.zarr") == bits(small / "whole.zarr")
+
+
+def test_the_example_of_the_docs_runs(small):
+    page = PAGE.read_text(encoding="utf-8")
+    toml, python = (
+        re.findall(rf"```{kind}\n(.*?)```", page, re.DOTALL) for kind in ("toml", "python")
+    )
+    Path("worst.toml").write_text(toml[0])
+    call("run", "worst.toml", code=0, folder=small)
+    exec(python[0], scope := {})
+    assert scope["answer"].dims == ("K0", "Kenv")
+    commands = re.findall(r"^(fic-sweep reduce .*(?:\\\n.*)*)", page, re.MULTILINE)
+    assert commands and "--over Denv,Td" in commands[0]
