@@ -6,14 +6,14 @@ for the metrics that the statistic needs. The others are counted by kind.
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from fic_jax import QUANTITIES
-from sweeps.plan.grid import LARGEST_BLOCK, Block, Grid, shape_of
+from sweeps.plan.grid import LARGEST_BLOCK, Block, Grid, cells_of, shape_of
 from sweeps.spec.condition import holds, names
 from sweeps.spec.types import Reduction
 from sweeps.store.commit import Values
@@ -35,23 +35,23 @@ def block_values(grid: Grid, block: Block, cells: Cells) -> Values:
     stay = dict(zip(grid.dims, block, strict=True))
     if reduce.best:
         stay[reduce.best] = slice(0, grid.candidates)
-    lengths = {dim: part.stop - part.start for dim, part in stay.items()}
+    shape = shape_of(tuple(stay.values()))
     found: dict[str, np.ndarray] = {}
-    for box in _boxes(grid, stay, LARGEST_BLOCK // math.prod(_over_sides(grid))):
+    for box in _boxes(grid, stay, LARGEST_BLOCK // math.prod(_sides(grid))):
+        at = tuple(_shifted(part, -stay[dim].start) for dim, part in box.items())
         for name, values in _statistics(grid, box, cells).items():
-            if name not in found:
-                found[name] = np.empty(tuple(lengths.values()), values.dtype)
-            inside = [
-                slice(part.start - stay[dim].start, part.stop - stay[dim].start)
-                for dim, part in box.items()
-            ]
-            found[name][tuple(inside)] = values.reshape(shape_of(tuple(inside)))
-    rows = {name: v.reshape(math.prod(shape_of(block)), -1) for name, v in found.items()}
+            whole = found.setdefault(name, np.empty(shape, values.dtype))
+            whole[at] = values.reshape(shape_of(at))
+    rows = {name: v.reshape(cells_of(block), -1) for name, v in found.items()}
     return _chosen(grid, reduce, rows)
 
 
-def _over_sides(grid: Grid) -> tuple[int, ...]:
-    """Sides of a box along the dimensions that go: the same for any block."""
+def _shifted(part: slice, by: int) -> slice:
+    return slice(part.start + by, part.stop + by)
+
+
+def _sides(grid: Grid) -> tuple[int, ...]:
+    """Sides of a box along the dimensions that statistics are over: the same for any block."""
     return grid.halved(_over(grid), LARGEST_BLOCK)
 
 
@@ -80,27 +80,31 @@ def _statistics(grid: Grid, box: Mapping[str, slice], cells: Cells) -> dict[str,
     order = [dims.index(dim) for dim in (*box, *over)]
     n = math.prod(part.stop - part.start for part in box.values())
     needs = {name: [name] for name in reduce.metrics} | conditions(reduce, sweep.metrics)
-    in_conditions = {n for text in reduce.share.values() for n in names(text)} & QUANTITIES.keys()
-    total = Totals(reduce, n, math.prod(over.values()), list(needs))
-    places = np.arange(total.combinations).reshape(tuple(over.values()))
-    for part in _boxes(grid, {dim: slice(0, m) for dim, m in over.items()}, _box_cells(grid)):
+    used = list(dict.fromkeys(metric for metrics in needs.values() for metric in metrics))
+    in_conditions = {one for text in reduce.share.values() for one in names(text)}
+    total = Totals(reduce, math.prod(over.values()), list(needs))
+    whole = {dim: slice(0, length) for dim, length in over.items()}
+    for part in _boxes(grid, whole, math.prod(_sides(grid))):
         both = {**box, **part}
         scenarios = tuple(both[dim] for dim in dims)
         shape = shape_of(scenarios)
 
         def rows(column: np.ndarray, shape: tuple[int, ...] = shape) -> Rows:
-            """[scenarios in storage order] -> [cells that stay, combinations]."""
-            return column.reshape(shape).transpose(order).reshape(n, -1)
+            """[scenarios in storage order] -> [cells that stay, combinations].
+
+            Each row lies in one piece: numpy's order of summation depends on it.
+            """
+            return np.ascontiguousarray(column.reshape(shape).transpose(order).reshape(n, -1))
 
         values = cells(scenarios)
-        named: dict[str, Any] = {m: rows(values[m]) for m in _used(needs)}
-        if in_conditions:
-            fields = vars(grid.full.params(scenarios))
-            named |= {k: rows(fields[k]) if fields[k].ndim else fields[k] for k in in_conditions}
+        named: dict[str, Any] = {metric: rows(values[metric]) for metric in used}
+        if fields := in_conditions & QUANTITIES.keys():
+            params = vars(grid.full.params(scenarios))
+            named |= {k: rows(params[k]) if params[k].ndim else params[k] for k in fields}
         status = rows(values["status"])
         trusted = {
             metric: rows(values[f"{metric}_trusted"]) == TRUSTED
-            for metric in _used(needs)
+            for metric in used
             if sweep.error_estimate
         }
         total.count(status)
@@ -112,17 +116,14 @@ def _statistics(grid: Grid, box: Mapping[str, slice], cells: Cells) -> dict[str,
             if name in reduce.share:
                 total.hold(name, known & holds(reduce.share[name], named))
             else:
-                total.fold(name, named[name], known, places[tuple(part.values())].ravel())
+                total.fold(name, named[name], known, _places(over, part))
     return total.results()
 
 
-def _box_cells(grid: Grid) -> int:
-    return math.prod(_over_sides(grid))
-
-
-def _used(needs: Mapping[str, Sequence[str]]) -> list[str]:
-    """The metrics that are needed, each once."""
-    return list(dict.fromkeys(metric for metrics in needs.values() for metric in metrics))
+def _places(over: Mapping[str, int], part: Mapping[str, slice]) -> np.ndarray:
+    """The numbers of a box's combinations among all, in their order."""
+    along = np.ix_(*(np.arange(stretch.start, stretch.stop) for stretch in part.values()))
+    return np.ravel_multi_index(along, tuple(over.values())).ravel()
 
 
 @dataclass
@@ -130,7 +131,6 @@ class Totals:
     """Counts, extremes and moments of n cells, box by box."""
 
     reduce: Reduction
-    n: int  # cells
     combinations: int  # scenarios of each
     names: list[str]  # metrics and conditions
     counts: dict[str, np.ndarray] = field(default_factory=dict)  # [n] each

@@ -293,6 +293,24 @@ def test_bits_depend_on_no_block_and_extremes_on_no_box(seed, ties, best, chunks
         np.testing.assert_allclose(values, whole[name], rtol, 1e-13 if rtol else 0.0, err_msg=name)
 
 
+@pytest.mark.parametrize("dims", [("Td", "K0"), ("K0", "Td")])
+def test_a_long_sum_does_not_depend_on_the_cells_beside_it(dims):
+    """numpy sums in another order along another layout of its memory."""
+    axes = {"Td": "Td = { lin = [1, 9], n = 3000 }\n", "K0": "K0 = { lin = [1, 9], n = 5 }\n"}
+    text = 'name = "a"\n[axes]\n' + "".join(axes[dim] for dim in dims)
+    plan = parse(text + '[reduce]\nover = ["Td"]\nmean = ["nmse"]\nstd = ["nmse"]\n', "f")
+    values = np.random.default_rng(0).lognormal(size=Grid(plan).full.shape).astype(np.float32)
+
+    def cells(box):
+        n = cells_of(box)
+        return {"nmse": values[box].ravel(), "status": np.full(n, OK)}
+
+    whole, alone = (assembled(Grid(plan, chunk), cells) for chunk in (5, 1))
+    for name in ("nmse_mean", "nmse_std"):
+        assert whole[name].dtype == np.float64
+        assert whole[name].tobytes() == alone[name].tobytes()
+
+
 def test_a_box_has_one_model_and_fits_into_memory():
     text = ANY.replace("[axes]", '[model]\ncontact = ["welded", "hard_stop"]\n[axes]')
     plan = parse(text.replace('["Td", ', '["contact", "Td", '), "f")
