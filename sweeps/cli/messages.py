@@ -131,7 +131,8 @@ def status_lines(store: Store) -> list[str]:
 def _shard(grid: Grid) -> Iterator[str]:
     """Which shard of a sweep this is, if it is one."""
     if grid.shard:
-        size = f"{counted(grid.own_cells, 'scenario')} in {counted(len(grid.own), 'block')}"
+        scenarios = counted(grid.own_cells * grid.combinations, "scenario")
+        size = f"{scenarios} in {counted(len(grid.own), 'block')}"
         yield f"{'shard':{HEAD}}{grid.shard}, {size}"
 
 
@@ -216,7 +217,8 @@ def merged(store: Store) -> str:
     parts = counted(len(json.loads(str(store.group.attrs["parts"]))), "part")
     counts = Counts.of(store)
     rest = f"; {counted(len(counts.pending), 'block')} still to run: {_resume(store)} does"
-    done = f"{store.path}: {counted(counts.done, 'scenario')} of {parts}"
+    scenarios = counted(counts.done * store.grid.combinations, "scenario")
+    done = f"{store.path}: {scenarios} of {parts}"
     return done + (rest if counts.pending else "")
 
 

@@ -391,3 +391,20 @@ def test_a_command_of_a_job_array_is_repeated(stores, quick):
         with pytest.raises(SweepError, match=r"begun by another program \(jax was 0.1, is "):
             part_of(path, "1/2")
         sound([])
+
+
+def test_the_shards_of_a_reduction_are_one_run(stores):
+    text = TEXT.replace("[axes]", "[time]\nt_end = 0.2\n[axes]\nTd = [1.0, 2.0, 3.0]")
+    text = text.replace('metrics = ["nmse", "peak_torque"]\n', "")
+    plan = parse(text + '[reduce]\nover = ["K0"]\nmax = ["nmse"]\nmean = ["energy_in"]', "reduced")
+    with stores.case() as path:
+        one = path.with_name("one.zarr")
+        run(runner.start(one, plan, 1, 32))
+        parts = []
+        for k in (1, 2):
+            share = Shard(k, 2)
+            parts.append(share.part(path))
+            run(runner.start_or_reopen(parts[-1], plan, 1, 32, share))
+        merge(parts, path)
+        sound([path, *parts])
+        assert contents(path) == contents(one)
