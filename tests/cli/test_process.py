@@ -22,6 +22,7 @@ COMMANDS = [
     "show",
     "run",
     "resume",
+    "reduce",
     "verify",
     "status",
     "plot",
