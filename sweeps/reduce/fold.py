@@ -15,7 +15,7 @@ import numpy as np
 from fic_jax import QUANTITIES
 from sweeps.plan.grid import LARGEST_BLOCK, Block, Grid, cells_of, shape_of
 from sweeps.spec.condition import holds, names
-from sweeps.spec.types import Reduction
+from sweeps.spec.types import Reduction, Sweep
 from sweeps.store.commit import Values
 from sweeps.store.format import DIVERGED, NOT_RUN, OK, TRUSTED, UNTRUSTED
 from sweeps.store.reduced import conditions, place_values, quantile
@@ -44,6 +44,19 @@ def block_values(grid: Grid, block: Block, cells: Cells) -> Values:
             whole[at] = values.reshape(shape_of(at))
     rows = {name: v.reshape(cells_of(block), -1) for name, v in found.items()}
     return _chosen(grid, reduce, rows)
+
+
+def variables_read(sweep: Sweep) -> list[str]:
+    """The variables of scenarios that the statistics of a sweep need."""
+    metrics = list(dict.fromkeys(m for needed in _needs(sweep).values() for m in needed))
+    flags = [f"{metric}_trusted" for metric in metrics if sweep.error_estimate]
+    return [*metrics, *flags, "status"]
+
+
+def _needs(sweep: Sweep) -> dict[str, list[str]]:
+    """The metrics that each metric or condition of a reduction needs."""
+    assert sweep.reduce
+    return {m: [m] for m in sweep.reduce.metrics} | conditions(sweep.reduce, sweep.metrics)
 
 
 def _shifted(part: slice, by: int) -> slice:
@@ -79,8 +92,7 @@ def _statistics(grid: Grid, box: Mapping[str, slice], cells: Cells) -> dict[str,
     over, dims = _over(grid), list(grid.full.dims)
     order = [dims.index(dim) for dim in (*box, *over)]
     n = math.prod(part.stop - part.start for part in box.values())
-    needs = {name: [name] for name in reduce.metrics} | conditions(reduce, sweep.metrics)
-    used = list(dict.fromkeys(metric for metrics in needs.values() for metric in metrics))
+    needs = _needs(sweep)
     in_conditions = {one for text in reduce.share.values() for one in names(text)}
     total = Totals(reduce, math.prod(over.values()), list(needs))
     whole = {dim: slice(0, length) for dim, length in over.items()}
@@ -97,21 +109,17 @@ def _statistics(grid: Grid, box: Mapping[str, slice], cells: Cells) -> dict[str,
             return np.ascontiguousarray(column.reshape(shape).transpose(order).reshape(n, -1))
 
         values = cells(scenarios)
-        named: dict[str, Any] = {metric: rows(values[metric]) for metric in used}
+        named: dict[str, Any] = {name: rows(values[name]) for name in variables_read(sweep)}
         if fields := in_conditions & QUANTITIES.keys():
             params = vars(grid.full.params(scenarios))
             named |= {k: rows(params[k]) if params[k].ndim else params[k] for k in fields}
-        status = rows(values["status"])
-        trusted = {
-            metric: rows(values[f"{metric}_trusted"]) == TRUSTED
-            for metric in used
-            if sweep.error_estimate
-        }
-        total.count(status)
+        total.count(named["status"])
         for name, metrics in needs.items():
-            known = status == OK
+            known = named["status"] == OK
             for metric in metrics:
-                known &= trusted.get(metric, True) & ~np.isnan(named[metric])
+                known &= ~np.isnan(named[metric])
+                if sweep.error_estimate:
+                    known &= named[f"{metric}_trusted"] == TRUSTED
             total.judge(name, known)
             if name in reduce.share:
                 total.hold(name, known & holds(reduce.share[name], named))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sweeps.plan.grid import Block, Grid
-from sweeps.reduce.fold import block_values
+from sweeps.reduce.fold import block_values, variables_read
 from sweeps.spec.mistakes import SweepError
 from sweeps.spec.reading import validate
 from sweeps.spec.types import Sweep
@@ -47,26 +47,27 @@ def reduce_store(
     made_by = {k: v for k, v in store.group.attrs.asdict().items() if k not in of_sweep}
     made_by |= {"start": now(), "reduced_from": store.path.name}
     new = create(path, Grid(sweep, chunk), made_by)
+    read = _reading(store, variables_read(sweep))
     with writing(new) as (writer, _):
         for index in range(new.grid.n_blocks):
-            values = block_values(new.grid, new.grid.block(index), _reading(store))
+            values = block_values(new.grid, new.grid.block(index), read)
             writer.commit(values, Row(index, DONE))
             after_block()
         writer.end()
     return new
 
 
-def _reading(store: Store) -> Callable[[Block], Values]:
-    """Reads boxes of cells, each of whose blocks is compared with its checksum once."""
+def _reading(store: Store, names: list[str]) -> Callable[[Block], Values]:
+    """Reads boxes of some variables; each file is compared with its checksum once."""
     rows, checked = {row.block: row for row in store.rows()}, set[int]()
 
     def read(box: Block) -> Values:
-        for index in _blocks(store.grid, box):
-            if index in rows and index not in checked:
-                if not all(intact(*file) for file in store.files(rows[index])):
-                    raise store.damaged(f"block {index} is not as it was written")
-                checked.add(index)
-        return {name: np.asarray(store.array(name)[box]).ravel() for name in store.variables}
+        for index in (i for i in _blocks(store.grid, box) if i in rows and i not in checked):
+            files = rows[index].files
+            if not all(intact(store.file(name, index), files[name]) for name in names):
+                raise store.damaged(f"block {index} is not as it was written")
+            checked.add(index)
+        return {name: np.asarray(store.array(name)[box]).ravel() for name in names}
 
     return read
 

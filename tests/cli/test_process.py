@@ -23,6 +23,7 @@ COMMANDS = [
     "run",
     "resume",
     "merge",
+    "reduce",
     "verify",
     "status",
     "plot",
