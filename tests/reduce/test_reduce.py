@@ -264,7 +264,7 @@ def assembled(grid, cells):
     return whole
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(
     seed=st.integers(0, 10**6),
     ties=st.booleans(),
