@@ -101,9 +101,9 @@ def start(
 
 
 def start_or_reopen(
-    path: Path, plan: Sweep, chunk: int | None, precision: int, shard: Shard
+    path: Path, plan: Sweep, chunk: int | None, precision: int, shard: Shard | None
 ) -> Store:
-    """`start` a shard or, if its store exists, `reopen` it: a job array repeats its command.
+    """`start` a run or, if its store exists, `reopen` it: a job array repeats its command.
 
     Raises SweepError as they do, and if `path` has another shard or another sweep.
     """

@@ -52,7 +52,7 @@ RUNNER = {
 ROOMS = {
     "fic_jax": {"fic_jax"},
     "fic_jax.lanes": {"fic_jax.lanes"},  # it could be a package of its own
-    "sweeps": set(),
+    "sweeps": {*RUNNER, "sweeps.cluster"},  # late, in `sweeps.run`
     "sweeps.spec": SPEC,
     "sweeps.plan": PLAN,
     "sweeps.store": STORE,
@@ -62,6 +62,8 @@ ROOMS = {
     "sweeps.devices": SPEC,
     "sweeps.provenance": {*SPEC, "sweeps"},  # sweeps: where the sources are
     "sweeps.runner": RUNNER,
+    "sweeps.worker": RUNNER,
+    "sweeps.cluster": {*RUNNER, "sweeps.worker"},
     "sweeps.merge": {*STORE, "sweeps.provenance"},
     "sweeps.export": STORE,
     "sweeps.paper": {*RUNNER, "sweeps.paper", "sweeps"},  # sweeps: where its library is
@@ -74,6 +76,7 @@ ROOMS = {
     "sweeps.cli": {
         *RUNNER,
         "sweeps",
+        "sweeps.cluster",
         "sweeps.export",
         "sweeps.merge",
         "sweeps.paper",
