@@ -20,7 +20,7 @@ from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from sweeps import worker
 from sweeps.provenance import provenance
@@ -35,7 +35,7 @@ from sweeps.store.opening import Store
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-    Answer = Future[worker.Receipt | worker.Unready | OSError]
+    Answer: TypeAlias = Future[worker.Receipt | worker.Unready | OSError]
 
 WINDOW = 3  # tasks of a worker, so that it does not wait for this process
 LOOK = 0.5  # s between two looks at who is there
