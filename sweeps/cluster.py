@@ -144,12 +144,13 @@ class Hand:
     job: worker.Job
     tasks: dict["Answer", Task] = field(default_factory=dict)
     since: float = 0.0  # when it began its first task
+    new: bool = True  # a nanny does not restart a worker that dies while it is being started
 
     def free_for(self, task: Task) -> bool:
         """Whether it may get a task: a suspect is alone."""
         if task.suspect or any(other.suspect for other in self.tasks.values()):
-            return not self.tasks
-        return len(self.tasks) < WINDOW
+            return not self.tasks and not self.new
+        return len(self.tasks) < WINDOW and not self.new
 
 
 class Cluster:
@@ -213,6 +214,7 @@ class Cluster:
         for address in self.hands.keys() - present:
             self._lose(self.hands.pop(address))
         for hand in list(self.hands.values()):
+            hand.new = False
             self._restart_if_hanging(hand, now)
         self._welcome(sorted(present - self.hands.keys() - self.refused.keys()), present)
         if self.hands:
@@ -241,9 +243,9 @@ class Cluster:
             elif isinstance(answer, OSError):  # it has gone meanwhile
                 continue
             else:
-                missing = isinstance(answer, ImportError | AttributeError)
-                why = f"has no such fic-jax: {answer}" if missing else str(answer)
-                self._refuse(address, why)
+                # Dask turns what a worker could not read into a text
+                missing = re.search(r"ModuleNotFoundError|ImportError|AttributeError", repr(answer))
+                self._refuse(address, f"{'has no such fic-jax: ' if missing else ''}{answer}")
 
     def _refuse(self, address: str, why: str) -> None:
         self.refused[address] = printable(" ".join(why.split()))

@@ -42,7 +42,7 @@ def workers(folder_of_sabotage):
 
 @pytest.fixture
 def client(workers):
-    workers.wait_for_workers(2, timeout=60)
+    workers.wait_for_workers(2, timeout=20)
     return workers
 
 

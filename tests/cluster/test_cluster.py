@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from dataclasses import replace
 
 import pytest
@@ -77,11 +76,13 @@ def test_workers_that_are_killed(tmp_path, client, whole, sabotaged):
     over, killed, rng = threading.Event(), [], random.Random(5)
 
     def kill():
-        while len(killed) < kills and not over.wait(rng.uniform(0.2, 1.0)):
-            pids = list(client.run(os.getpid, on_error="ignore").values())
-            if pids:
+        before = set()  # Dask does not restart a worker that dies while it is being started
+        while len(killed) < kills and not over.wait(rng.uniform(0.3, 1.0)):
+            pids = set(client.run(os.getpid, on_error="ignore").values())
+            old, before = sorted(pids & before), pids
+            if old:
                 with contextlib.suppress(ProcessLookupError):
-                    os.kill(rng.choice(pids), signal.SIGKILL)
+                    os.kill(rng.choice(old), signal.SIGKILL)
                     killed.append(1)
 
     thread = threading.Thread(target=kill)
@@ -223,14 +224,17 @@ def test_a_scheduler_without_workers_or_with_one_without_the_package(tmp_path, m
         with pytest.raises(OSError, match=r"^tcp://127.0.0.1:\d+ has had no worker for 0 s$"):
             run(store, client)
         words = [sys.executable, "-c", WITHOUT_PACKAGE, scheduler.scheduler_address]
-        with subprocess.Popen(words, stderr=subprocess.DEVNULL) as process:
-            client.wait_for_workers(1, timeout=60)
+        process = subprocess.Popen(words, stderr=subprocess.DEVNULL)
+        try:
+            client.wait_for_workers(1, timeout=30)
             with (
                 pytest.warns(RuntimeWarning, match=r"is not used: has no such fic-jax"),
                 pytest.raises(SweepError, match=r"no worker can run it: \S+: has no such fic-jax"),
             ):
                 run(store, client)
+        finally:
             process.kill()
+            process.wait()
 
 
 def test_a_scheduler_that_dies(tmp_path, sabotaged, whole):
@@ -243,8 +247,7 @@ def test_a_scheduler_that_dies(tmp_path, sabotaged, whole):
 
         def close(progress):
             if progress.done == 5:
-                threading.Thread(target=scheduler.close).start()
-                time.sleep(1)
+                scheduler.close()
 
         with pytest.raises(OSError, match="the scheduler does not answer any more"):
             run(store, client, close)
@@ -261,7 +264,7 @@ def test_places():
 
 
 def test_suspects_are_alone():
-    hand = cluster.Hand("tcp://a:1", None)
+    hand = cluster.Hand("tcp://a:1", None, new=False)
     task, suspect = Task(1), Task(2).after_death(alone=True)
     assert hand.free_for(task)
     assert hand.free_for(suspect)
