@@ -83,6 +83,8 @@ def connected(place: str) -> Iterator["Client"]:
     settings: dict[str, Any] = {
         "distributed.nanny.pre-spawn-environ": before | environment,
         "distributed.comm.timeouts.connect": CONNECT,
+        # a new process imports JAX in some seconds, on a busy machine in many
+        "distributed.deploy.lost-worker-timeout": WORKERS,
     }
     with dask.config.set(settings):
         if not n:
@@ -217,6 +219,7 @@ class Cluster:
             hand.new = False
             self._restart_if_hanging(hand, now)
         self._welcome(sorted(present - self.hands.keys() - self.refused.keys()), present)
+        self._replace_lost(len(present))
         if self.hands:
             self.last_hand = now
         elif present and not present - self.refused.keys():
@@ -225,6 +228,12 @@ class Cluster:
         elif now - self.last_hand > WORKERS:
             where = getattr(self.client.scheduler, "address", "the scheduler")
             raise ConnectionError(f"{where} has had no worker for {WORKERS:.0f} s")
+
+    def _replace_lost(self, present: int) -> None:
+        """Start the workers of this machine again that Dask has given up."""
+        planned = len(getattr(self.client.cluster, "worker_spec", ()))
+        if present < planned and type(self.client.cluster).__name__ == "LocalCluster":
+            self.client.cluster.scale(planned)
 
     def _welcome(self, new: list[str], present: set[str]) -> None:
         """Make new workers ready; those that can't be are named in a warning and not used."""

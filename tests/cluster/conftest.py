@@ -29,8 +29,11 @@ def folder_of_sabotage(tmp_path_factory):
 def workers(folder_of_sabotage):
     """A client with two workers that can be sabotaged."""
     distributed = pytest.importorskip("distributed", reason="needs the extra `dask`")
+    import dask.config
+
     preload = ["sweeps.worker", os.path.abspath(sabotage.__file__)]
     with (
+        dask.config.set({"distributed.deploy.lost-worker-timeout": 60}),
         distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0",
             memory_limit=0, silence_logs=50, preload=preload,
