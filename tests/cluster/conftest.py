@@ -9,11 +9,15 @@ from sweeps import runner
 from sweeps.spec.reading import parse
 from tests.cluster import sabotage
 
-PLAN = parse(
-    'name = "many"\n[time]\nt_end = 0.2\n[axes]\nK0 = { log = [1.0, 100.0], n = 6 }\n'
-    "Td = [1.0, 5.0, 12.0]\n",
-    "many.toml",
-)
+TEXT = """
+name = "many"
+[time]
+t_end = 0.2
+[axes]
+K0 = { log = [1.0, 100.0], n = 6 }
+Td = [1.0, 5.0, 12.0]
+"""
+PLAN = parse(TEXT, "many.toml")
 BLOCKS = 18
 
 

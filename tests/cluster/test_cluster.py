@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -21,8 +22,8 @@ from sweeps.store.commit import writing
 from sweeps.store.fsync import PARTIAL
 from sweeps.store.ledger import SET_ASIDE
 from sweeps.store.opening import Counts, open_store
-from tests.cluster.conftest import BLOCKS, PLAN
-from tests.torture import many
+from tests.cluster.conftest import BLOCKS, PLAN, TEXT
+from tests.torture import TORTURE, many
 
 distributed = pytest.importorskip("distributed", reason="needs the extra `dask`")
 
@@ -57,16 +58,13 @@ def test_the_files_of_a_serial_run(tmp_path, client, whole):
 
 def test_from_python(tmp_path, client, whole):
     file = tmp_path / "many.toml"
-    file.write_text(
-        'name = "many"\n[time]\nt_end = 0.2\n[axes]\nTd = [1.0, 5.0, 12.0]\n'
-        "K0 = { log = [1.0, 100.0], n = 6 }\n"
-    )
+    file.write_text(TEXT)
     seen = []
     for _ in range(2):  # the second call finds it complete
         store = sweeps.run(file, tmp_path / "a.zarr", client=client, on_progress=seen.append)
         assert Counts.of(store).done == BLOCKS
     assert seen[-1].ran == 0
-    same_files(replace(sweeps.run(PLAN, tmp_path / "b.zarr", client=client, chunk=1)), whole)
+    same_files(sweeps.run(PLAN, tmp_path / "b.zarr", client=client, chunk=1), whole)
 
 
 def test_workers_that_are_killed(tmp_path, client, whole, sabotaged):
@@ -237,6 +235,7 @@ def test_a_scheduler_without_workers_or_with_one_without_the_package(tmp_path, m
             process.wait()
 
 
+@pytest.mark.skipif(not TORTURE, reason="takes 10 s; `make torture` runs it")
 def test_a_scheduler_that_dies(tmp_path, sabotaged, whole):
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0",
@@ -273,3 +272,16 @@ def test_suspects_are_alone():
     assert not hand.free_for(suspect)
     hand.tasks = {"future": suspect}
     assert not hand.free_for(task)
+
+
+def test_the_script_of_the_page(tmp_path, whole):
+    """docs/clusters.md, as a user's own file."""
+    page = (Path(__file__).parent.parent.parent / "docs" / "clusters.md").read_text("utf-8")
+    (script,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "script.py").write_text(script.replace("client=client", "client=client, chunk=1"))
+    (tmp_path / "mine.toml").write_text(TEXT)
+    done = subprocess.run(
+        [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    same_files(open_store(tmp_path / "mine.zarr"), whole)

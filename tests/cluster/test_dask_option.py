@@ -12,17 +12,8 @@ import xarray as xr
 
 from sweeps.store.opening import Counts, open_store
 from tests.cluster import sabotage
+from tests.cluster.conftest import BLOCKS, TEXT
 from tests.command import FIC_SWEEP, typed
-
-TEXT = """
-name = "many"
-[time]
-t_end = 0.2
-[axes]
-K0 = { log = [1.0, 100.0], n = 6 }
-Td = [1.0, 5.0, 12.0]
-"""
-BLOCKS = 18
 
 
 @pytest.fixture
