@@ -70,7 +70,7 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	@$(PYTHON) -m venv $(VENV)
 	@# compat: a path entry, so that a folder named fic_jax around it can't shadow the package
 	@$(BIN)/pip install --quiet --disable-pip-version-check --config-settings editable_mode=compat \
-	  -c constraints.txt -e '.[test,export,bench,fast]'
+	  -c constraints.txt -e '.[test,export,bench,fast,dask]'
 	@touch $@
 
 clean:

@@ -6,6 +6,7 @@
 - `merge`: one store of the shards of a sweep
 - `reduce`: the statistics of a reduced store, from cells that are computed or read
 - `runner`: computes the blocks of a store; `provenance`: names the program and the machine
+- `cluster`: the blocks of a store on the workers of a Dask client; `worker`: what each worker does
 - `devices`: starts JAX, or names the variable of the environment that keeps it from starting
 - `compile_cache`, `processor`: where compiled programs are kept, one folder for each processor
 - `disk`: which errors are the disk's and no mistake of the user
@@ -13,9 +14,66 @@
 - `paper`: the paper's scenarios and claims, and the report about them
 - `cli`: the command `fic-sweep`
 
+From Python, `sweeps.run` does what the command `run` does.
+
 Imports point one way: cli -> paper -> runner -> reduce -> store -> plan -> spec -> fic_jax.
 """
 
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+    from sweeps.runner import OnProgress
+    from sweeps.spec.types import Sweep
+    from sweeps.store.opening import Store
 
 LIBRARY = Path(__file__).parent / "library"
+
+
+def run(
+    sweep: "Sweep | str | Path",
+    path: "str | Path | None" = None,
+    *,
+    client: "Client | None" = None,
+    chunk: int | None = None,
+    on_progress: "OnProgress | None" = None,
+) -> "Store":
+    """Run a sweep into the store `path`, or what is left of it if the store has been begun.
+
+    sweep: a sweep, the path of its file, or a name of the library
+    path: default NAME.zarr
+    client: a `distributed.Client`, whose workers compute the blocks; None: this process does
+    chunk: most cells of a block
+    on_progress: is called with a `runner.Progress` after each block
+
+    A block that could not be computed is set aside: `Counts.of(store).set_aside` names it. Raises
+    SweepError for a wrong request, OSError if the disk or the cluster fails; finished blocks stay.
+    """
+    import jax
+
+    from sweeps import runner
+    from sweeps.spec.mistakes import SweepError
+    from sweeps.spec.reading import load
+    from sweeps.store.opening import open_store
+
+    if isinstance(sweep, str | Path):
+        in_library = LIBRARY / f"{sweep}.toml"
+        known = isinstance(sweep, str) and "/" not in sweep and in_library.is_file()
+        sweep = load(in_library if known else Path(sweep))
+    place = Path(path or f"{sweep.name}.zarr")
+    try:
+        runner.configure(sweep.bits)
+    except RuntimeError:  # JAX has started as the caller wants it, and may lack what we need
+        if sweep.bits == 64 and not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
+            x64 = "`jax.config.update('jax_enable_x64', True)`"
+            raise SweepError(f"{sweep.name}: precision = 64 needs {x64}") from None
+    store = runner.start_or_reopen(place, sweep, chunk, sweep.bits, None)
+    run_blocks = None
+    if client:
+        from sweeps.cluster import Cluster
+
+        run_blocks = Cluster(client, store).run_blocks
+    runner.run(store, on_progress or (lambda _: None), run_blocks=run_blocks)
+    return open_store(store.path)

@@ -62,16 +62,21 @@ class Progress:
 
 
 OnProgress = Callable[[Progress], None]
+# Rows that have just been committed, perhaps none, and the time at which they were on the disk.
+Committed = tuple[list[Row], float]
+# Computes and commits blocks of a store: its writer, its lock, the blocks, what is known of some.
+RunBlocks = Callable[[Writer, Lock, list[int], Mapping[int, Row]], Generator[Committed]]
 
 
-def configure(precision: int, device: str | None = None) -> None:
+def configure(precision: int, device: str | None = None, cores: int | None = None) -> None:
     """Set JAX up for sweeps, with a compile cache, and start it.
 
-    `device` is "cpu", "gpu" or None for JAX's choice. Raises SweepError if it does not exist
-    or a variable of the environment keeps JAX from starting.
+    `device` is "cpu", "gpu" or None for JAX's choice; a CPU's sweeps use `cores`, or all. Raises
+    SweepError if it does not exist or a variable of the environment keeps JAX from starting,
+    RuntimeError if JAX has started.
     """
     devices.check_xla_flags()
-    tune_for_throughput()
+    tune_for_throughput(cores)
     jax.config.update("jax_enable_x64", precision == 64)
     cache, users = compile_cache.folder(), jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
     if cache is not None and not users:
@@ -98,9 +103,9 @@ def start(
 
 
 def start_or_reopen(
-    path: Path, plan: Sweep, chunk: int | None, precision: int, shard: Shard
+    path: Path, plan: Sweep, chunk: int | None, precision: int, shard: Shard | None
 ) -> Store:
-    """`start` a shard or, if its store exists, `reopen` it: a job array repeats its command.
+    """`start` a run or, if its store exists, `reopen` it: a job array repeats its command.
 
     Raises SweepError as they do, and if `path` has another shard or another sweep.
     """
@@ -132,10 +137,16 @@ def reopen(path: Path, precision: int) -> Store:
     return store
 
 
-def run(store: Store, on_progress: OnProgress, only: Collection[int] | None = None) -> Progress:
+def run(
+    store: Store,
+    on_progress: OnProgress,
+    only: Collection[int] | None = None,
+    run_blocks: RunBlocks | None = None,
+) -> Progress:
     """Run every block (or those in `only`) that is not done; safe to interrupt at any line.
 
-    Raises SweepError if another process changes the store, OSError if the disk refuses.
+    `run_blocks` computes and commits them, in this process if it is None. Raises SweepError if
+    another process changes the store, OSError if the disk refuses.
     """
     grid, began = store.grid, time.perf_counter()
     with writing(store) as (writer, lock):
@@ -147,10 +158,12 @@ def run(store: Store, on_progress: OnProgress, only: Collection[int] | None = No
         on_progress(progress)
         # The block in which the last process was killed may be what killed it: it comes last.
         pending.sort(key=lambda index: index == lock.killed_in)
-        with closing(_run_blocks(writer, lock, pending, counts.unfinished)) as committed:
-            for row, when in committed:
-                n, known = cells_of(grid.block(row.block)), counts.unfinished.get(row.block)
-                progress = progress.after(row, n, known, when - began)
+        blocks = (run_blocks or _run_blocks)(writer, lock, pending, counts.unfinished)
+        with closing(blocks) as committed:
+            for rows, when in committed:
+                for row in rows:
+                    n, known = cells_of(grid.block(row.block)), counts.unfinished.get(row.block)
+                    progress = progress.after(row, n, known, when - began)
                 on_progress(progress)
         if progress.done == progress.cells and "end" not in store.group.attrs:
             writer.end()
@@ -172,7 +185,7 @@ def recompute(store: Store, blocks: list[int], on_progress: OnProgress) -> list[
 
 def _run_blocks(
     writer: Writer, lock: Lock, pending: list[int], unfinished: Mapping[int, Row]
-) -> Generator[tuple[Row, float]]:
+) -> Generator[Committed]:
     """Compute and commit blocks; yields each row and the time at which it was on the disk.
 
     One thread commits a block while the next one is computed. Closing the generator waits for that
@@ -180,15 +193,15 @@ def _run_blocks(
     """
     queue = deque((index, 1) for index in pending)
 
-    def commit(values: Values, row: Row) -> tuple[Row, float]:
-        return writer.commit(values, row), time.perf_counter()
+    def commit(values: Values, row: Row) -> Committed:
+        return [writer.commit(values, row)], time.perf_counter()
 
     with ThreadPoolExecutor(1) as pool:
-        last: Future[tuple[Row, float]] | None = None
+        last: Future[Committed] | None = None
         while queue:
             index, attempt = queue.popleft()
             lock.computing(index)
-            values, row = _attempt(writer.store, index, unfinished.get(index), attempt)
+            values, row = compute(writer.store, index, unfinished.get(index), attempt)
             if row.outcome == SET_ASIDE and attempt < ATTEMPTS:
                 queue.append((index, attempt + 1))
                 continue
@@ -199,20 +212,18 @@ def _run_blocks(
             yield last.result()
 
 
-def _attempt(store: Store, index: int, known: Row | None, attempt: int) -> tuple[Values, Row]:
-    """Compute the cells of a block that its row, from a smaller store, does not have."""
+def compute(store: Store, index: int, known: Row | None, attempt: int) -> tuple[Values, Row]:
+    """Compute the cells of a block that its row, from a smaller store, does not have.
+
+    After an error the row says SET_ASIDE.
+    """
     block, began = store.grid.block(index), time.perf_counter()
-    before = read_block(store, known) if known else None
-    todo: slice | np.ndarray = slice(None)
-    if before:
-        todo = np.isin(before["status"], (OK, DIVERGED), invert=True)
+    before, todo = _done_before(store, known)
     try:
         values = _values(store.grid, block, store.dtype, todo)
     except Exception as error:  # the sweep continues without this block
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:300]
-        values = before or no_values(store.grid, index)
-        values["status"][todo] = FAILED
-        return values, Row(index, SET_ASIDE, attempt=attempt, error=reason)
+        return set_aside(store, index, known, attempt, reason)
     if before:
         for name in before:
             before[name][todo] = values[name]
@@ -226,6 +237,24 @@ def _values(grid: Grid, block: Block, dtype: str, cells: slice | np.ndarray) -> 
     if grid.sweep.reduce:
         return block_values(grid, block, lambda b: values_of(*_compute(grid.full, b, dtype), t_end))
     return values_of(*_compute(grid, block, dtype, cells), t_end)
+
+
+def set_aside(
+    store: Store, index: int, known: Row | None, attempt: int, reason: str
+) -> tuple[Values, Row]:
+    """What is committed of a block that can't be computed: what was known, the rest failed."""
+    before, todo = _done_before(store, known)
+    values = before or no_values(store.grid, index)
+    values["status"][todo] = FAILED
+    return values, Row(index, SET_ASIDE, attempt=attempt, error=reason)
+
+
+def _done_before(store: Store, known: Row | None) -> tuple[Values | None, slice | np.ndarray]:
+    """The variables of a block that has a row, if its files are intact; the cells to compute."""
+    before = read_block(store, known) if known else None
+    if before is None:
+        return None, slice(None)
+    return before, np.isin(before["status"], (OK, DIVERGED), invert=True)
 
 
 def _compute(

@@ -329,7 +329,7 @@ def fresh(monkeypatch):
     )
     before = {name: getattr(jax.config, name) for name in names}
     # it sets what can't be set once JAX has started, and has its own tests
-    monkeypatch.setattr(runner, "tune_for_throughput", lambda: None)
+    monkeypatch.setattr(runner, "tune_for_throughput", lambda cores: None)
     jax.config.update("jax_compilation_cache_dir", None)
     yield jax.config
     for name, value in before.items():

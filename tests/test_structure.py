@@ -53,7 +53,7 @@ RUNNER = {
 ROOMS = {
     "fic_jax": {"fic_jax"},
     "fic_jax.lanes": {"fic_jax.lanes"},  # it could be a package of its own
-    "sweeps": set(),
+    "sweeps": {*RUNNER, "sweeps.cluster"},  # late, in `sweeps.run`
     "sweeps.spec": SPEC,
     "sweeps.plan": PLAN,
     "sweeps.store": STORE,
@@ -64,6 +64,8 @@ ROOMS = {
     "sweeps.provenance": {*SPEC, "sweeps"},  # sweeps: where the sources are
     "sweeps.reduce": REDUCE,
     "sweeps.runner": RUNNER,
+    "sweeps.worker": RUNNER,
+    "sweeps.cluster": {*RUNNER, "sweeps.worker"},
     "sweeps.merge": {*STORE, "sweeps.provenance"},
     "sweeps.export": STORE,
     "sweeps.paper": {*RUNNER, "sweeps.paper", "sweeps"},  # sweeps: where its library is
@@ -76,6 +78,7 @@ ROOMS = {
     "sweeps.cli": {
         *RUNNER,
         "sweeps",
+        "sweeps.cluster",
         "sweeps.export",
         "sweeps.merge",
         "sweeps.paper",

@@ -7,18 +7,23 @@ from typing import TYPE_CHECKING
 from sweeps.cli.interruption import Stop
 
 if TYPE_CHECKING:
-    from sweeps.runner import Progress
+    from sweeps.runner import Progress, RunBlocks
     from sweeps.store.opening import Store
 
 LOG_INTERVAL = 10.0  # s
 
 
-def run_with_progress(store: "Store", stop: Stop) -> "Progress":
-    """Run the blocks of a store that are not done. Raises KeyboardInterrupt on a requested stop."""
-    return (_with_bar if sys.stdout.isatty() else _with_lines)(store, stop)
+def run_with_progress(
+    store: "Store", stop: Stop, run_blocks: "RunBlocks | None" = None
+) -> "Progress":
+    """Run the blocks of a store that are not done, in this process or by `run_blocks`.
+
+    Raises KeyboardInterrupt on a requested stop.
+    """
+    return (_with_bar if sys.stdout.isatty() else _with_lines)(store, stop, run_blocks)
 
 
-def _with_bar(store: "Store", stop: Stop) -> "Progress":
+def _with_bar(store: "Store", stop: Stop, run_blocks: "RunBlocks | None") -> "Progress":
     from rich.progress import BarColumn, TextColumn
     from rich.progress import Progress as Bar
 
@@ -33,10 +38,10 @@ def _with_bar(store: "Store", stop: Stop) -> "Progress":
             bar.update(task, completed=progress.done, line=progress_line(progress))
             stop.after_block(progress)
 
-        return runner.run(store, show)
+        return runner.run(store, show, run_blocks=run_blocks)
 
 
-def _with_lines(store: "Store", stop: Stop) -> "Progress":
+def _with_lines(store: "Store", stop: Stop, run_blocks: "RunBlocks | None") -> "Progress":
     from sweeps import runner
     from sweeps.cli.messages import log_line
 
@@ -49,4 +54,4 @@ def _with_lines(store: "Store", stop: Stop) -> "Progress":
             print(log_line(progress), flush=True)
         stop.after_block(progress)
 
-    return runner.run(store, show)
+    return runner.run(store, show, run_blocks=run_blocks)

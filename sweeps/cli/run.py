@@ -1,6 +1,8 @@
 """`run` and `resume`: compute the blocks of a store."""
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,6 +17,8 @@ from sweeps.cli.process import importing
 from sweeps.cli.progress import run_with_progress
 
 if TYPE_CHECKING:
+    from distributed import Client
+
     from sweeps.plan.shard import Shard
     from sweeps.spec.types import Sweep
     from sweeps.store.opening import Store
@@ -32,6 +36,12 @@ class Device(StrEnum):
 
     cpu = "cpu"
     gpu = "gpu"
+
+
+Dask = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS|local:N", help="a Dask scheduler, or N workers of this machine"),
+]
 
 
 def run(
@@ -54,6 +64,7 @@ def run(
     error_estimate: Annotated[
         bool, typer.Option("--error-estimate", help="also store the error of every metric")
     ] = False,
+    dask: Dask = None,
     shard: Annotated[
         str | None,
         typer.Option(metavar="K/N", help="every N-th block, into NAME.K-of-N.zarr, new or begun"),
@@ -83,12 +94,13 @@ def run(
         else:
             runner.check_start(path, sweep, chunk, sweep.bits, share)
         return
-    if share:
-        store = runner.start_or_reopen(path, sweep, chunk, sweep.bits, share)
-    else:
-        store = runner.start(path, sweep, chunk, sweep.bits)
-    warn(sweep)  # a refused sweep needs no warning
-    _finish(store, stop)
+    with _client(dask) as client:
+        if share:
+            store = runner.start_or_reopen(path, sweep, chunk, sweep.bits, share)
+        else:
+            store = runner.start(path, sweep, chunk, sweep.bits)
+        warn(sweep)  # a refused sweep needs no warning
+        _finish(store, stop, client)
 
 
 def resume(
@@ -97,6 +109,7 @@ def resume(
         str | None,
         typer.Option(metavar="NAME|FILE", help="a larger sweep; computes only what is new"),
     ] = None,
+    dask: Dask = None,
 ) -> None:
     """Run the blocks of a store that are not done yet."""
     stop = interruption.stop_on_signals()
@@ -115,7 +128,22 @@ def resume(
             _warn_of_old_folder()
         else:
             store.check_done()
-    _finish(store, stop)
+    with _client(dask) as client:
+        _finish(store, stop, client)
+
+
+@contextmanager
+def _client(place: str | None) -> "Iterator[Client | None]":
+    """The Dask client of `--dask`, with its dashboard on stderr; None without the option."""
+    if place is None:
+        yield None
+        return
+    from sweeps import cluster
+
+    with cluster.connected(place) as client:
+        if link := cluster.dashboard(client):
+            complain(f"dashboard {link}")
+        yield client
 
 
 def _warn_of_old_folder() -> None:
@@ -149,14 +177,19 @@ def _print_plan(sweep: "Sweep", chunk: int | None, shard: "Shard | None") -> Non
     print(expectation(grid, *measure(grid, dtype)))
 
 
-def _finish(store: "Store", stop: interruption.Stop) -> None:
+def _finish(store: "Store", stop: interruption.Stop, client: "Client | None") -> None:
     """Run a store to its end and print the result; an error leaves finished blocks as they are."""
     from sweeps.cli.messages import failed_blocks, interrupted, summary
     from sweeps.runner import run as run_store
     from sweeps.store.opening import Counts
 
+    run_blocks = None
+    if client:
+        from sweeps.cluster import Cluster
+
+        run_blocks = Cluster(client, store).run_blocks
     try:
-        result = run_with_progress(store, stop)
+        result = run_with_progress(store, stop, run_blocks)
     except (KeyboardInterrupt, OSError) as error:
         if isinstance(error, OSError) or Counts.of(store).pending:
             fail(interrupted(store, error))

@@ -18,12 +18,14 @@ A block is a box of cells: one chunk file of each variable. It is the unit of wo
 A block is done if, and only if, the ledger has its row. `Writer.commit` works in this order:
 
     1. encode each variable in memory
-    2. delete the block's old row, if it has one
-    3. write each file as NAME.partial and fsync it
+    2. write each file as NAME.partial and fsync it
+    3. delete the block's old row, if it has one
     4. rename each file to NAME
     5. fsync the folders
     6. insert the row into the ledger; SQLite fsyncs it
 
-A kill or a power cut before the end of step 6 leaves a block without a row, which `resume` runs
-again. After step 6 the files and the row are on the disk: the block is durable.
+A kill or a power cut before the end of step 6 leaves a block without a row, or with its old row and
+its old files; `resume` runs it again. After step 6 the files and the row are on the disk: the block
+is durable. On a cluster the worker that computed a block does steps 1 and 2, under a name of its
+own, and the one process that has locked the store does the rest.
 """

@@ -6,6 +6,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -48,12 +49,20 @@ class Writer:
 
         Raises OSError; the block then has no row.
         """
+        row = self.stage(values, row)
+        self.publish(row)
+        return row
+
+    def stage(self, values: Values, row: Row, suffix: str = fsync.PARTIAL) -> Row:
+        """Write a block's files under partial names; returns the row that will describe them.
+
+        It changes no finished block, and needs no lock if no other process has this `suffix`.
+        Raises OSError.
+        """
         files = {name: self._encode(row.block, name, values[name]) for name in self.store.variables}
-        # The old row of a block that is done in part, or set aside, describes the old files.
-        self.ledger.delete([row.block])
-        fsync.write({self.store.file(name, row.block): files[name] for name in files})
+        fsync.stage({self.store.file(name, row.block): files[name] for name in files}, suffix)
         _, ok, diverged, failed = np.bincount(values["status"], minlength=len(STATUS)).tolist()
-        row = replace(
+        return replace(
             row,
             ok=ok,
             diverged=diverged,
@@ -65,8 +74,13 @@ class Writer:
             at=now(),
             files={name: Checksum.of(content) for name, content in files.items()},
         )
+
+    def publish(self, row: Row, suffix: str = fsync.PARTIAL) -> None:
+        """Give a block's staged files their names, and insert its row. Raises OSError."""
+        # The old row of a block that is done in part, or set aside, describes the old files.
+        self.ledger.delete([row.block])
+        fsync.publish([path for path, _ in self.store.files(row)], suffix)
         self.ledger.insert([row])
-        return row
 
     def end(self) -> None:
         """Write the time at which the store was finished into its attributes."""
@@ -143,18 +157,23 @@ def writing(store: Store) -> Iterator[tuple[Writer, Lock]]:
             raise SweepError(f"{store.path}: was changed by another process; try again")
         store.check_metadata()
         (store.path / CHECKSUM).unlink(missing_ok=True)  # from now on it is out of date
-        # through no link: we would delete files outside the store
-        folders = (p for p in store.path.iterdir() if p.is_dir() and not p.is_symlink())
-        for folder in (store.path, *folders):
-            for partial in folder.glob(f"*{fsync.PARTIAL}"):
-                if partial.is_symlink() or not partial.is_dir():  # a folder is not ours
-                    partial.unlink()
+        delete_partials(store.path)
         fsync.sync(store.path)
         try:
             yield writer, lock
         finally:
             with suppress(OSError):  # rows have checksums of their own
                 write_checksum(writer.ledger)
+
+
+def delete_partials(path: Path) -> None:
+    """Delete what killed processes left of unfinished files in a store. Raises OSError."""
+    # through no link: we would delete files outside the store
+    folders = (p for p in path.iterdir() if p.is_dir() and not p.is_symlink())
+    for folder in (path, *folders):
+        for partial in folder.glob(f"*{fsync.PARTIAL}"):
+            if partial.is_symlink() or not partial.is_dir():  # a folder is not ours
+                partial.unlink(missing_ok=True)
 
 
 def write_checksum(ledger: Ledger) -> None:

@@ -3,8 +3,8 @@
 import errno
 import os
 import warnings
-from collections.abc import Mapping
-from contextlib import ExitStack, suppress
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 PARTIAL = ".partial"  # suffix of an unfinished file or folder; the next writer may delete it
@@ -22,23 +22,46 @@ def write(files: Mapping[Path, bytes]) -> None:
 
     Raises OSError, after it has deleted the partial files.
     """
-    partials = {path: path.with_name(path.name + PARTIAL) for path in files}
-    try:
-        with ExitStack() as opened:
-            descriptors = []
-            for path, content in files.items():
-                descriptor = os.open(partials[path], _NEW, 0o666)
-                opened.callback(os.close, descriptor)
-                _write_all(descriptor, content)
-                descriptors.append(descriptor)
-            for descriptor in descriptors:  # after all writes: the disk takes them together
-                _fsync(descriptor)
+    stage(files)
+    publish(files)
+
+
+def stage(files: Mapping[Path, bytes], suffix: str = PARTIAL) -> None:
+    """Write and fsync files under partial names, NAME + `suffix`, for `publish`.
+
+    Raises OSError, after it has deleted the partial files.
+    """
+    partials = {path: path.with_name(path.name + suffix) for path in files}
+    with _deleted_after_error(partials.values()), ExitStack() as opened:
+        descriptors = []
+        for path, content in files.items():
+            descriptor = os.open(partials[path], _NEW, 0o666)
+            opened.callback(os.close, descriptor)
+            _write_all(descriptor, content)
+            descriptors.append(descriptor)
+        for descriptor in descriptors:  # after all writes: the disk takes them together
+            _fsync(descriptor)
+
+
+def publish(files: Iterable[Path], suffix: str = PARTIAL) -> None:
+    """Give staged files their names, and put the names on the disk.
+
+    Raises OSError, after it has deleted the partial files.
+    """
+    partials = {path: path.with_name(path.name + suffix) for path in files}
+    with _deleted_after_error(partials.values()):
         for path, partial in partials.items():
             os.replace(partial, path)
-        for folder in dict.fromkeys(path.parent for path in files):
+        for folder in dict.fromkeys(path.parent for path in partials):
             sync(folder)
+
+
+@contextmanager
+def _deleted_after_error(partials: Iterable[Path]) -> Iterator[None]:
+    try:
+        yield
     except OSError:
-        for partial in partials.values():
+        for partial in partials:
             with suppress(OSError):
                 os.unlink(partial)
         raise

@@ -21,12 +21,12 @@ def test_the_order_of_a_commit(stores, quick):
     variables = ("nmse", "peak_torque", "status")
     files = [f"{name}/c.0" for name in variables]
     made = [(call.name, call.path.removeprefix(f"{path}/")) for call in disk.made]
-    wanted = [("commit", "ledger.sqlite")]
-    wanted += [("write", name + PARTIAL) for name in files]
+    wanted = [("write", name + PARTIAL) for name in files]
     wanted += [("fsync", name + PARTIAL) for name in files]
+    wanted += [("commit", "ledger.sqlite")]  # the old row is deleted
     wanted += [("replace", name + PARTIAL) for name in files]
     wanted += [("fsync", name) for name in variables] + [("commit", "ledger.sqlite")]
-    first = made.index(("commit", "ledger.sqlite"))
+    first = made.index(wanted[0])
     steps = [call for call in made[first:] if call in wanted]
     assert steps[: len(wanted)] == wanted
 
