@@ -162,6 +162,8 @@ class Cluster:
         self.client, self.store = client, store
         self.hands: dict[str, Hand] = {}
         self.refused: dict[str, str] = {}  # address -> why
+        self.hung: set[str] = set()  # addresses of workers that were given up
+        self.sharing: Counter[str] = Counter()  # host -> the most workers it has had at a time
         self.slowest = 0.0  # s, of the blocks that have ended
         self.todo: deque[Task] = deque()
         self.suspects: deque[Task] = deque()
@@ -209,7 +211,7 @@ class Cluster:
             return
         self.last_look = now
         try:
-            present = set(self.client.nthreads())
+            present = set(self.client.nthreads()) - self.hung
         except Exception as error:  # whatever Dask raises for a lost connection
             why = printable(str(error).splitlines()[0] if str(error) else type(error).__name__)
             raise ConnectionError(f"the scheduler does not answer any more: {why}") from None
@@ -231,16 +233,16 @@ class Cluster:
 
     def _replace_lost(self, present: int) -> None:
         """Start the workers of this machine again that Dask has given up."""
-        planned = len(getattr(self.client.cluster, "worker_spec", ()))
-        if present < planned and type(self.client.cluster).__name__ == "LocalCluster":
-            self.client.cluster.scale(planned)
+        cluster: Any = self.client.cluster
+        if type(cluster).__name__ == "LocalCluster" and present < len(cluster.worker_spec):
+            cluster.scale(len(cluster.worker_spec))
 
     def _welcome(self, new: list[str], present: set[str]) -> None:
         """Make new workers ready; those that can't be are named in a warning and not used."""
         if not new:
             return
-        hosts = Counter(_host(address) for address in present)
-        jobs = {address: replace(self.job, sharing=hosts[_host(address)]) for address in new}
+        self.sharing |= Counter(_host(address) for address in present)
+        jobs = {a: replace(self.job, sharing=self.sharing[_host(a)]) for a in new}
         answers: dict[str, Any] = {}
         for sharing in {job.sharing for job in jobs.values()}:
             some = [address for address, job in jobs.items() if job.sharing == sharing]
@@ -257,10 +259,8 @@ class Cluster:
                 self._refuse(address, f"{'has no such fic-jax: ' if missing else ''}{answer}")
 
     def _refuse(self, address: str, why: str) -> None:
-        self.refused[address] = printable(" ".join(why.split()))
-        warnings.warn(
-            f"worker {address} is not used: {self.refused[address]}", RuntimeWarning, stacklevel=1
-        )
+        self.refused[address] = why = printable(" ".join(why.split()))
+        warnings.warn(f"worker {address} is not used: {why}", RuntimeWarning, stacklevel=1)
 
     def _lose(self, hand: Hand) -> None:
         """A worker has gone: what it had is suspect."""
@@ -279,7 +279,9 @@ class Cluster:
         if not hand.tasks or now - hand.since < bound:
             return
         block = next(iter(hand.tasks.values())).block
-        self._refuse(hand.address, f"hangs at block {block}, for {bound:.0f} s; it is restarted")
+        self.hung.add(hand.address)
+        why = f"hangs at block {block}, for {bound:.0f} s: it is restarted"
+        warnings.warn(f"worker {hand.address} {why}", RuntimeWarning, stacklevel=1)
         self._lose(self.hands.pop(hand.address))
         # it takes long if the worker does not even hear
         threading.Thread(target=_restart, args=(self.client, hand.address), daemon=True).start()

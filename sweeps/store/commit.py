@@ -78,8 +78,10 @@ class Writer:
     def publish(self, row: Row, suffix: str = fsync.PARTIAL) -> None:
         """Give a block's staged files their names, and insert its row. Raises OSError."""
         # The old row of a block that is done in part, or set aside, describes the old files.
-        self.ledger.delete([row.block])
-        fsync.publish([path for path, _ in self.store.files(row)], suffix)
+        paths = [path for path, _ in self.store.files(row)]
+        with fsync.deleted_after_error([path.with_name(path.name + suffix) for path in paths]):
+            self.ledger.delete([row.block])
+        fsync.publish(paths, suffix)
         self.ledger.insert([row])
 
     def end(self) -> None:

@@ -32,7 +32,7 @@ def stage(files: Mapping[Path, bytes], suffix: str = PARTIAL) -> None:
     Raises OSError, after it has deleted the partial files.
     """
     partials = {path: path.with_name(path.name + suffix) for path in files}
-    with _deleted_after_error(partials.values()), ExitStack() as opened:
+    with deleted_after_error(partials.values()), ExitStack() as opened:
         descriptors = []
         for path, content in files.items():
             descriptor = os.open(partials[path], _NEW, 0o666)
@@ -49,7 +49,7 @@ def publish(files: Iterable[Path], suffix: str = PARTIAL) -> None:
     Raises OSError, after it has deleted the partial files.
     """
     partials = {path: path.with_name(path.name + suffix) for path in files}
-    with _deleted_after_error(partials.values()):
+    with deleted_after_error(partials.values()):
         for path, partial in partials.items():
             os.replace(partial, path)
         for folder in dict.fromkeys(path.parent for path in partials):
@@ -57,7 +57,8 @@ def publish(files: Iterable[Path], suffix: str = PARTIAL) -> None:
 
 
 @contextmanager
-def _deleted_after_error(partials: Iterable[Path]) -> Iterator[None]:
+def deleted_after_error(partials: Iterable[Path]) -> Iterator[None]:
+    """Delete partial files if an OSError is raised inside."""
     try:
         yield
     except OSError:

@@ -124,7 +124,7 @@ def test_a_worker_that_hangs_is_restarted(tmp_path, client, whole, sabotaged, mo
     monkeypatch.setattr(cluster, "HANG_LEAST", 2.0)
     store = start(tmp_path)
     sabotaged("hang")
-    with pytest.warns(RuntimeWarning, match=r"^worker tcp://\S+ is not used: hangs at block \d+"):
+    with pytest.warns(RuntimeWarning, match=r"^worker tcp://\S+ hangs at block \d+"):
         result = run(store, client)
     assert (result.done, result.set_aside) == (BLOCKS, ())
     same_files(store, whole)
