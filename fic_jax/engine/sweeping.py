@@ -133,15 +133,20 @@ def _inside_jit(
     """The metrics of a traced batch, as traced arrays. Raises ParamsError."""
     check_model(model)
     n_steps = count("n_steps", n_steps)
+    check(batch, dt)  # of what is not traced
     p = of_one_type("batch", batch)
     h = jnp.asarray(dt, p.K0.dtype)
     leaves = {name: jnp.asarray(leaf) for name, leaf in vars(p).items()}
     n = length(leaves)
     with at_once():
         devices = tuple(jax.local_devices())
+        here = "ptx" if devices[0].platform == "gpu" else "lanes"
+        if backend not in ("auto", here):
+            wanted = f"{here} where the batch is traced and JAX's device is a {devices[0].platform}"
+            raise ParamsError("backend", backend, wanted)
         program = _program(backend, model, n_steps, error_estimate, h.dtype, devices)
-    if not isinstance(program, LaneMap):
-        raise ParamsError("backend", backend, "lanes or ptx where the batch is traced")
+    if not isinstance(program, LaneMap):  # `auto` has warned
+        raise ParamsError("backend", backend, f"{here}, which is not available, in a traced batch")
     return program.inside_jit(
         [jnp.broadcast_to(leaf.reshape(-1), n) for leaf in leaves.values()], h
     )
@@ -215,7 +220,7 @@ def arithmetic(backend: Backend = "auto") -> str:
 
 
 def _works(way: Backend, devices: tuple[jax.Device, ...]) -> bool:
-    """Whether a backend of our compiler can compile and run anything here."""
+    """Whether a backend is installed; ptx, whether it can compile and run anything here."""
     if way != "ptx":
         return way != "lanes" or importlib.util.find_spec("llvmlite") is not None
     try:

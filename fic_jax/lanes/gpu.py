@@ -10,7 +10,7 @@ import weakref
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import accumulate, cycle
 from typing import Any
 
@@ -26,6 +26,7 @@ from fic_jax.lanes.threads import KERNEL, THREADS, ptx, thread_ir
 LEAST, MOST = 2**17, 2**18
 NEWEST = (9, 0)  # compute capability whose PTX all newer GPUs take, too
 ALIGNED = 256  # bytes
+UNUSED = 2**30  # bytes of page-locked memory that may wait for arrays
 
 
 class ThreadKernel:
@@ -44,7 +45,7 @@ class ThreadKernel:
 
         began = time.perf_counter()
         self.types, self.results = ([np.dtype(one.dtype) for one in s] for s in (types, results))
-        self._gpus = cycle(gpus)
+        self._first, self._gpus = gpus[0], cycle(gpus)
         oldest = min(NEWEST, *(tuple(Device(gpu).compute_capability) for gpu in gpus))
 
         def build() -> bytes:
@@ -55,12 +56,10 @@ class ThreadKernel:
         code = cached(key and f"{key} {[t.name for t in self.types]}", f"{oldest}", "ptx", build)
 
         def load() -> tuple[Any, Any]:
-            Device(gpus[0]).set_current()
             module = ObjectCode.from_ptx(code)
             return module, module.get_kernel(KERNEL)
 
-        with ThreadPoolExecutor(1) as thread:  # the caller's current GPU stays what it is
-            self._module, self._kernel = thread.submit(load).result()
+        self._module, self._kernel = _where_current(self._first, load)
         jax.monitoring.record_event_duration_secs(COMPILED, time.perf_counter() - began)
 
     def part(self, n: int, threads: int) -> int:
@@ -102,10 +101,15 @@ class ThreadKernel:
         self.launch(own, read, varying, written, n)
 
     def empty(self, n: int) -> list[np.ndarray]:
-        """Arrays for the results of n lanes, in page-locked memory."""
-        places, size = laid_out(self.results, [n] * len(self.results))
-        memory = page_locked(size)
-        return [memory[place].view(of) for place, of in zip(places, self.results, strict=True)]
+        """Arrays for the results of n lanes, each in page-locked memory of its own."""
+
+        def allocated() -> list[np.ndarray]:
+            with suppress(Exception):  # without such memory copies are slower
+                return [page_locked(n * of.itemsize)[: n * of.itemsize].view(of) for of in types]
+            return [np.empty(n, of) for of in types]
+
+        types = self.results
+        return _where_current(self._first, allocated)
 
     def run(self, leaves: Sequence[np.ndarray], outs: Sequence[np.ndarray]) -> None:
         """Write the results into `outs`, [n] each, for arguments [n] or scalar."""
@@ -156,7 +160,7 @@ class Stage:
 
 
 _idle: dict[int, deque[Stage]] = {}  # of each GPU
-_unused: dict[int, deque[Any]] = {}  # page-locked memory of each size
+_unused: deque[Any] = deque()  # page-locked memory that no array needs
 
 
 @contextmanager
@@ -166,23 +170,60 @@ def _stage(gpu: int, host: int, device: int) -> Iterator[Stage]:
 
     Device(gpu).set_current()
     idle = _idle.setdefault(gpu, deque())
-    stage = idle.pop() if idle else None
-    if stage is None or len(stage.host) < host or stage.size < device:
+    try:
+        stage = idle.pop()
+    except IndexError:
         stage = Stage(gpu, host, device)
-    yield stage  # after an error it may still be at work, so no other thread gets it
+    if len(stage.host) < host or stage.size < device:
+        stage = Stage(gpu, host, device)
+    try:
+        yield stage
+    except BaseException:
+        with suppress(Exception):
+            stage.stream.sync()  # before others get the memory that its copies write to
+        raise
     idle.append(stage)
 
 
-def page_locked(size: int) -> np.ndarray:
-    """So many bytes of the host that a GPU can copy, at 55 GB/s instead of 3 into new memory.
+def _where_current(gpu: int, function: Callable[[], Any]) -> Any:
+    """Call a function in a thread where a GPU is current: in the caller's, another one may be."""
+    from cuda.core import Device
 
-    To lock pages takes long: two blocks of each size are used again when no array needs them.
+    def call() -> Any:
+        Device(gpu).set_current()
+        return function()
+
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(call).result()
+
+
+def page_locked(size: int) -> np.ndarray:
+    """So many bytes of the host, or more, that a GPU can copy: at 55 GB/s, pageable memory at 14.
+
+    To lock pages takes long: memory is used again after the last array in it is deleted.
     """
     from cuda.core import LegacyPinnedMemoryResource
 
     size = max(size, ALIGNED)
-    unused = _unused.setdefault(size, deque(maxlen=2))
-    buffer = unused.pop() if unused else LegacyPinnedMemoryResource().allocate(size)
-    memory = (ctypes.c_uint8 * size).from_address(int(buffer.handle))
-    weakref.finalize(memory, unused.append, buffer).atexit = False
+    buffer = _fitting(size) or LegacyPinnedMemoryResource().allocate(size)
+    memory = (ctypes.c_uint8 * buffer.size).from_address(int(buffer.handle))
+    weakref.finalize(memory, _unused.append, buffer).atexit = False
     return np.ctypeslib.as_array(memory)
+
+
+def _fitting(size: int) -> Any:
+    """Unused memory of so many bytes, to twice as many; what is unused beyond UNUSED is freed."""
+    found, kept = None, 0
+    for _ in range(len(_unused)):
+        try:
+            buffer = _unused.popleft()
+        except IndexError:  # another thread was faster
+            break
+        if found is None and size <= buffer.size <= 2 * size:
+            found = buffer
+        elif kept + buffer.size <= UNUSED:
+            kept += buffer.size
+            _unused.append(buffer)
+        else:
+            buffer.close()
+    return found

@@ -93,7 +93,7 @@ class LaneMap:
             for one, row in zip(parts, rows, strict=True):
                 one[order] = row
 
-        if size >= n > 0 and not self._gpus:
+        if size >= n > 0 and not self._gpus:  # whose work needs a thread where it is current
             part(0)
             return
         pool = ThreadPoolExecutor(self._threads)

@@ -42,7 +42,7 @@ def plot(
     more: More = None,
     x: Annotated[str | None, typer.Option(help="horizontal axis: dimension or field")] = None,
     y: Annotated[str | None, typer.Option(help="vertical axis; without it, the metric")] = None,
-    metric: Annotated[str, typer.Option(help="what is shown")] = "nmse",
+    metric: Annotated[str | None, typer.Option(help="what is shown; default: nmse")] = None,
     at: At = None,
     out: NewFile = None,
     force: Force = False,
@@ -56,6 +56,7 @@ def plot(
     from sweeps.store.opening import dataset
 
     data = dataset(path)
+    metric = metric or _first(data)
     with unreadable_refused(path), _plot_errors_refused(path):
         picture = choose(data, x=x, y=y, metric=metric, at=wanted)
     axes = [axis.name for axis in (picture.x, picture.y) if axis]
@@ -64,6 +65,14 @@ def plot(
     _refuse_existing(target, force)
     _save(draw(picture), target, data)
     _say_where(values, picture.cut)
+
+
+def _first(data: "xr.Dataset") -> str:
+    """The metric of a picture by default: nmse, or the first answer of a reduction."""
+    names = [str(name) for name in data.data_vars if data[name].dtype.kind == "f"]
+    answers = [name for name in names if not name.endswith("_share")] or names
+    by = [name for name in answers if name.endswith("_at_best")]
+    return "nmse" if "nmse" in data or not answers else (by or answers)[0]
 
 
 def history(

@@ -75,6 +75,8 @@ def reduce(
         "untrusted": untrusted,
     }
     store = open_store(path)
+    if untrusted is None:
+        _refuse_unfinished(store)
     given = {key: value for key, value in table.items() if value not in (None, [], {})}
     sweep = reduced_sweep(store, given)
     target = out or path.with_name(f"{path.stem}-reduced.zarr")
@@ -84,6 +86,20 @@ def reduce(
         except KeyboardInterrupt:
             _interrupted(target)
     _say(store, new)
+
+
+def _refuse_unfinished(store: "Store") -> None:
+    """Raise SweepError for a store in which scenarios are missing: its answer would be too."""
+    from sweeps.spec.mistakes import SweepError, command
+    from sweeps.store.opening import Counts
+
+    rest = "--untrusted 0.9 reduces what there is, if it is a tenth of a cell or more"
+    if store.grid.shard:
+        what = f"is shard {store.grid.shard} of a sweep: merge the parts first"
+        raise SweepError(f"{store.path}: {what}; {rest}")
+    if Counts.of(store).pending:
+        left = f"{store.path}: scenarios are still to be run"
+        raise SweepError(f"{left}; {command('resume', store.path)} runs them; {rest}")
 
 
 def _say(store: "Store", new: "Store") -> None:

@@ -181,3 +181,25 @@ def test_the_example_of_the_docs_runs(small):
     assert scope["answer"].dims == ("K0", "Kenv")
     commands = re.findall(r"^(fic-sweep reduce .*(?:\\\n.*)*)", page, re.MULTILINE)
     assert commands and "--over Denv,Td" in commands[0]
+
+
+def test_a_store_with_missing_scenarios_is_not_reduced_unless_asked(run, monkeypatch):
+    monkeypatch.chdir(run)
+    call("run", "all.toml", "--shard", "1/2", "--chunk", "9", code=0, folder=run)
+    (part,) = run.glob("*.1-of-2.zarr")
+    call("merge", part.name, "--incomplete", "--out", "half.zarr", code=0, folder=run)
+    options = ("--over", "Td", "--max", "nmse")
+    for store, told in ((part.name, "merge the parts first"), ("half.zarr", "`fic-sweep resume")):
+        ended = typed("reduce", store, *options)
+        assert (ended.code, ended.stdout) == (2, "")
+        assert f"{store}: " in ended.stderr and told in ended.stderr
+        assert len(ended.stderr.splitlines()) == 1
+    assert typed("reduce", "half.zarr", *options, "--untrusted", "0.9").code == 0
+    assert typed("resume", "half.zarr").code == 0
+    assert typed("reduce", "half.zarr", *options, "--out", "whole-reduced.zarr").code == 0
+
+
+def test_a_picture_of_a_reduced_store_needs_no_metric(run, monkeypatch):
+    monkeypatch.chdir(run)
+    ended = typed("plot", "small.zarr", "--x", "K0", "--y", "Kenv", "--out", "any.png")
+    assert (ended.code, ended.stderr) == (0, "")

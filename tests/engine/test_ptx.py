@@ -101,11 +101,10 @@ def test_gradients_of_a_sweep_are_refused():
         jax.grad(lambda K0: sweep(Params(K0=K0), **RUN).nmse[0])(10.0)
 
 
-@pytest.mark.parametrize("backend", ["xla", "pallas"])
+@pytest.mark.parametrize("backend", ["xla", "pallas", "ptx"])
 def test_other_backends_are_refused_inside_jit(backend):
-    with pytest.raises(
-        ParamsError, match=f"must be lanes or ptx where .* is traced, but is {backend}"
-    ):
+    why = f"must be lanes where the batch is traced .* a cpu, but is {backend}"
+    with pytest.raises(ParamsError, match=why):
         jax.jit(lambda K0: sweep(Params(K0=K0), backend=backend, **RUN))(10.0)
 
 
@@ -115,11 +114,27 @@ def test_other_backends_are_refused_inside_jit(backend):
         ({"n_steps": 0}, "`n_steps`"),
         ({"model": "default"}, "`model`"),
         ({"backend": "cuda"}, "`backend` must be one of"),
+        ({"dt": -0.01}, "`dt` must be positive"),
+        ({"dt": "0.01"}, "`dt` must be a positive number"),
     ],
 )
 def test_what_is_known_while_tracing_is_checked(wrong, message):
     with pytest.raises(ParamsError, match=message):
         jax.jit(lambda K0: sweep(Params(K0=K0), **{**RUN, **wrong}))(10.0)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"Fmax": -1.0}, "`Fmax` must be positive"),
+        ({"Kenv": np.array([1.0, np.nan])}, "`Kenv`"),
+        ({"period": 0.0153}, "`period` must be a whole multiple"),
+        ({"xb": 0.05}, "`xb` must be greater"),
+    ],
+)
+def test_values_known_while_others_are_traced_are_checked(wrong, message):
+    with pytest.raises(ParamsError, match=message):
+        jax.jit(lambda K0: sweep(Params(K0=K0, **wrong), **RUN))(10.0)
 
 
 def test_leaves_of_different_lengths_are_refused_while_tracing():

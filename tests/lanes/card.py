@@ -7,7 +7,7 @@ works when it is waited for, not before; a kernel may only touch memory of its o
 import ctypes
 import sys
 import threading
-from collections import namedtuple
+from collections import deque, namedtuple
 from types import ModuleType
 
 import numpy as np
@@ -26,6 +26,7 @@ class Card:
         self.memory = [{} for _ in capabilities]  # of each GPU: address -> bytes
         self.current = threading.local()
         self.launches, self.programs = [], []
+        self.locked = 0  # bytes, ever
 
     def module(self):
         """The modules `cuda` and `cuda.core`."""
@@ -34,7 +35,7 @@ class Card:
             "Device": lambda device_id: Device(self, device_id),
             "ObjectCode": type("ObjectCode", (ObjectCode,), {"card": self}),
             "Stream": type("Stream", (Stream,), {"card": self}),
-            "LegacyPinnedMemoryResource": LegacyPinnedMemoryResource,
+            "LegacyPinnedMemoryResource": lambda: LegacyPinnedMemoryResource(self),
             "LaunchConfig": LaunchConfig,
             "EventOptions": EventOptions,
             "Buffer": Buffer,
@@ -62,6 +63,7 @@ def install(monkeypatch, *capabilities, **options):
     for name, module in card.module().items():
         monkeypatch.setitem(sys.modules, name, module)
     monkeypatch.setattr("fic_jax.lanes.gpu._idle", {})
+    monkeypatch.setattr("fic_jax.lanes.gpu._unused", deque())
     return card
 
 
@@ -184,6 +186,9 @@ class Buffer:
         assert type(ptr) is int and (mr, owner, stream) == (None, None, None)
         return cls.of(ptr, size)
 
+    def close(self):
+        self._data = None
+
     def copy_from(self, src, *, stream):
         assert isinstance(src, Buffer) and isinstance(stream, Stream)
         if src.size != self.size:
@@ -193,7 +198,13 @@ class Buffer:
 
 
 class LegacyPinnedMemoryResource:
+    def __init__(self, card):
+        self.card = card
+
     def allocate(self, size, *, stream=None):
+        if getattr(self.card.current, "gpu", None) is None:
+            raise RuntimeError("CUDA_ERROR_INVALID_CONTEXT")
+        self.card.locked += size
         data = np.full(size, 0x55, np.uint8)
         return Buffer.of(data.ctypes.data, size, data)
 

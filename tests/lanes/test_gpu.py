@@ -10,7 +10,7 @@ import pytest
 
 from fic_jax import Model, sweep
 from fic_jax.engine import sweeping
-from fic_jax.lanes import lane_map
+from fic_jax.lanes import gpu, lane_map
 from fic_jax.lanes.objects import fused
 from tests.engine.scenarios import DT, random_batch
 from tests.lanes import card as cards
@@ -21,6 +21,7 @@ from tests.lanes.test_while import PROGRAMS as LOOPS
 from tests.torture import many
 
 H100, A100, T4 = (9, 0), (8, 0), (7, 5)
+X = np.linspace(-1.0, 1.0, 40)
 FLOATS = pytest.mark.parametrize("dtype", [np.float32, np.float64])
 
 
@@ -178,6 +179,91 @@ def test_an_error_of_the_gpu_reaches_the_caller_and_the_next_call_runs(place, mo
     assert_same(mapped(x, y), lane_map(polynomial, gpus=[0])(x, y))
 
 
+def test_results_are_not_overwritten_while_they_live_and_their_memory_is_used_again(card):
+    mapped = lane_map(polynomial, gpus=[0])
+    x, y = columns(50, np.float64)
+    first = mapped(x, y)
+    kept = [leaf.copy() for leaf in jax.tree.leaves(first)]
+    mapped(y, x)
+    for leaf, before in zip(jax.tree.leaves(first), kept, strict=True):
+        np.testing.assert_array_equal(leaf, before)
+    del first, leaf
+    locked = card.locked
+    for n in range(40, 50):
+        mapped(x[:n], y[:n])
+    assert card.locked == locked
+
+
+def test_unused_memory_is_bounded(monkeypatch, card):
+    monkeypatch.setattr("fic_jax.lanes.gpu.UNUSED", 10_000)
+    mapped = lane_map(lambda x: x + 1.0, gpus=[0])
+    for n in (1000, 10, 3000, 100, 1000):
+        mapped(np.ones(n))
+    mapped(np.ones(1))
+    assert sum(buffer.size for buffer in gpu._unused) <= 10_000 + 256
+
+
+def test_without_page_locked_memory_results_are_ordinary_arrays(monkeypatch, card):
+    mapped = lane_map(polynomial, gpus=[0])
+    mapped.prepare(*columns(4, np.float64))
+
+    def refuse(*_, **__):
+        raise MemoryError("no more page-locked memory")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("fic_jax.lanes.gpu.page_locked", refuse)
+        (kernel, _), *_ = mapped._compiled.values()
+        assert all(out.base is None for out in kernel.empty(4))
+
+
+@pytest.mark.parametrize("few_first", [True, False])
+def test_memory_on_either_side_grows(few_first, card):
+    """One function has many columns and one result, the other one column and many results."""
+    wide = lane_map(lambda *xs: 10.0 * xs[-1], gpus=[0])
+    tall = lane_map(lambda x: tuple(x * k for k in range(2, 12)), gpus=[0])
+    calls = [lambda: wide(*10 * [X]), lambda: tall(X)]
+    for call in calls if few_first else reversed(calls):
+        call()
+    np.testing.assert_array_equal(wide(*10 * [X]), 10.0 * X)
+    for k, leaf in enumerate(tall(X), 2):
+        np.testing.assert_array_equal(leaf, k * X)
+
+
+def test_an_error_leaves_no_copy_under_way(monkeypatch, card):
+    mapped = lane_map(lambda x: (x + 0.5, x + 1.0, x + 2.0), gpus=[0], threads=1)
+    mapped.prepare(X)
+    copy, count = cards.Buffer.copy_from, []
+
+    def third_fails(self, src, *, stream):
+        count.append(1)
+        if len(count) == 4:  # the column, two results, then
+            raise MemoryError("a copy failed")
+        copy(self, src, stream=stream)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(cards.Buffer, "copy_from", third_fails)
+        patched.setattr(cards.Stream, "sync", _recorded(cards.Stream.sync, synced := []))
+        with pytest.raises(MemoryError, match="a copy failed"):
+            mapped(X)
+    assert synced and not synced[-1].waiting
+
+
+def _recorded(sync, streams):
+    def recorded(self):
+        sync(self)
+        streams.append(self)
+
+    return recorded
+
+
+def test_the_callers_current_gpu_stays_what_it_is(two_cards):
+    card = two_cards
+    card.current.gpu = 1
+    mapped = lane_map(polynomial, gpus=[0])
+    mapped(*columns(4, np.float64))
+    assert card.current.gpu == 1
+
+
 def test_code_is_for_the_oldest_gpu(monkeypatch):
     card = cards.install(monkeypatch, H100, T4)
     lane_map(polynomial, gpus=[0, 1])(*columns(3, np.float32))
@@ -232,7 +318,17 @@ def test_inside_jit_a_kernel_takes_jaxs_buffers_and_stream(n, dtype, card, a_str
     assert alone["value"] == 0.625
 
 
-def test_a_sweep_inside_jit_has_the_bits_of_one_outside(card, a_stream_of_jax, compiled_anew):
+class OnGPU:
+    """A device of JAX."""
+
+    platform, device_kind, local_hardware_id = "gpu", "H100", 0
+
+
+def test_a_sweep_inside_jit_has_the_bits_of_one_outside(
+    card, a_stream_of_jax, compiled_anew, monkeypatch
+):
+    device = OnGPU()
+    monkeypatch.setattr(jax, "local_devices", lambda: (device,))
     batch, options = random_batch(5, dtype=np.float32), {"dt": DT, "n_steps": 20, "backend": "ptx"}
     inside = jax.jit(lambda batch: sweep(batch, **options))(batch)
     assert_same(jax.tree.map(np.asarray, inside), sweep(batch, **options))
