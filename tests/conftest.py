@@ -6,6 +6,7 @@ import shutil
 import tempfile
 
 import jax
+import pytest
 
 import fic_jax
 from sweeps.compile_cache import VARIABLE
@@ -22,3 +23,10 @@ if VARIABLE not in os.environ:
     os.environ[VARIABLE] = tempfile.mkdtemp(prefix="fic-sweep-")
     atexit.register(shutil.rmtree, os.environ[VARIABLE], ignore_errors=True)
 jax.config.update("jax_compilation_cache_dir", os.environ[VARIABLE])
+
+
+@pytest.fixture(autouse=True)
+def _precision():
+    """A run in this process sets JAX's precision; the next test has float64 again."""
+    yield
+    jax.config.update("jax_enable_x64", True)
