@@ -7,7 +7,9 @@ and NetCDF. Those of a CSV are in a second file: a comment in the first would en
 import json
 import math
 import os
+import sys
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -161,7 +163,12 @@ def _netcdf(data: xr.Dataset, path: Path) -> None:
     for name, flags in _flags(data):
         plain[name].encoding["_FillValue"] = None
         plain[name].attrs["flag_values"] = np.array(list(flags.values()), np.uint8)
-    with path.open("w+b") as file:  # HDF5 crashes the process where it can't write to its own file
+    dask = sys.modules.get("dask")  # xarray would lock the file on a client that the user has
+    here = dask.config.set(scheduler="synchronous") if dask else nullcontext()
+    with (
+        here,
+        path.open("w+b") as file,
+    ):  # HDF5 crashes the process where it can't write to its own file
         plain.to_netcdf(file, engine="h5netcdf")
 
 

@@ -29,7 +29,7 @@ def folder_of_sabotage(tmp_path_factory):
         yield folder
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def workers(folder_of_sabotage):
     """A client with two workers that can be sabotaged."""
     distributed = pytest.importorskip("distributed", reason="needs the extra `dask`")
@@ -42,7 +42,7 @@ def workers(folder_of_sabotage):
             n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0",
             memory_limit=0, silence_logs=50, preload=preload,
         ) as cluster,
-        distributed.Client(cluster) as client,
+        distributed.Client(cluster, set_as_default=False) as client,
     ):  # fmt: skip
         yield client
 

@@ -17,11 +17,12 @@ import fic_jax
 import sweeps
 from sweeps import cluster, runner, worker
 from sweeps.cluster import Cluster, Task
+from sweeps.export import write
 from sweeps.spec.mistakes import SweepError
 from sweeps.store.commit import writing
 from sweeps.store.fsync import PARTIAL
 from sweeps.store.ledger import SET_ASIDE
-from sweeps.store.opening import Counts, open_store
+from sweeps.store.opening import Counts, dataset, open_store
 from tests.cluster.conftest import BLOCKS, PLAN, TEXT
 from tests.torture import TORTURE, many
 
@@ -285,3 +286,10 @@ def test_the_script_of_the_page(tmp_path, whole):
     )
     assert done.returncode == 0, done.stderr
     same_files(open_store(tmp_path / "mine.zarr"), whole)
+
+
+def test_a_client_of_the_user_keeps_no_file_from_being_written(client, whole, tmp_path):
+    """xarray would lock the file on the client's workers, to whom it can't be sent."""
+    with client.as_current():
+        write(dataset(whole), tmp_path / "whole.nc", "netcdf")
+    assert (tmp_path / "whole.nc").stat().st_size > 0
