@@ -25,8 +25,21 @@ if VARIABLE not in os.environ:
 jax.config.update("jax_compilation_cache_dir", os.environ[VARIABLE])
 
 
+# What a run in this process sets, and the next test finds as it was.
+BEFORE = {
+    name: getattr(jax.config, name)
+    for name in (
+        "jax_compilation_cache_dir",
+        "jax_enable_x64",
+        "jax_persistent_cache_min_compile_time_secs",
+        "jax_platforms",
+    )
+}
+
+
 @pytest.fixture(autouse=True)
-def _precision():
-    """A run in this process sets JAX's precision; the next test has float64 again."""
+def _configuration():
     yield
-    jax.config.update("jax_enable_x64", True)
+    for name, value in BEFORE.items():
+        if getattr(jax.config, name) != value:
+            jax.config.update(name, value)
