@@ -1,4 +1,4 @@
-"""Whether a backend gives the bits of the lane compiler on the CPU, and what differs where not.
+"""Compare the metrics of a backend with those of the CPU's lane compiler, bit for bit.
 
 `correctness` compares every reading of the model; `bits` a million scenarios of the default one,
 and lists those that differ most. Both sides run in the same process, on the same columns.

@@ -136,7 +136,7 @@ class Grid:
 
     @cached_property
     def own_cells(self) -> int:
-        """Number of scenarios to run."""
+        """Number of cells in the blocks to run."""
         if not self.shard:
             return self.cells
         dims = zip(self.shape, self.block_shape, strict=True)

@@ -42,6 +42,21 @@ def warn_without_locks(error: OSError) -> None:
     )
 
 
+def _take(descriptor: int, kind: int, folder: Path) -> None:
+    """Take a lock, LOCK_EX or LOCK_SH, or warn where the file system has none.
+
+    Raises SweepError with the process that holds it, OSError.
+    """
+    try:
+        fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise _in_use(folder, descriptor) from None
+    except OSError as error:
+        if error.errno not in UNSUPPORTED:
+            raise
+        warn_without_locks(error)
+
+
 @contextmanager
 def locked(folder: Path) -> Iterator[Lock]:
     """Lock a folder. The system releases the lock when the process ends, also by a kill.
@@ -53,14 +68,7 @@ def locked(folder: Path) -> Iterator[Lock]:
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
     descriptor = os.open(folder / LOCK, flags, 0o666)
     try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise _in_use(folder, descriptor) from None
-        except OSError as error:
-            if error.errno not in UNSUPPORTED:
-                raise
-            warn_without_locks(error)
+        _take(descriptor, fcntl.LOCK_EX, folder)
         block = _read(descriptor).get("block")
         _write(descriptor, None)
         try:
@@ -81,14 +89,7 @@ def unchanged(folder: Path) -> Iterator[None]:
     """
     descriptor = os.open(folder / LOCK, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
     try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise _in_use(folder, descriptor) from None
-        except OSError as error:
-            if error.errno not in UNSUPPORTED:
-                raise
-            warn_without_locks(error)
+        _take(descriptor, fcntl.LOCK_SH, folder)
         yield
     finally:
         os.close(descriptor)

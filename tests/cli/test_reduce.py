@@ -75,7 +75,7 @@ def test_a_dry_run_names_both_sizes(small):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [
         ('["Td"]', '["Tb"]', "`reduce.over` must name dimensions, but has `Tb`; did you mean `Td`"),
         ('["Td"]', '["I"]', "has `I` (which the sweep holds constant); there are K0, Kenv, Td"),
@@ -105,18 +105,18 @@ def test_a_dry_run_names_both_sizes(small):
         ("[reduce]\nover", "over", "must stand in [reduce]"),
     ],
 )
-def test_a_mistake_in_the_table_is_one_line(small, old, new, told):
+def test_a_mistake_in_the_table_is_one_line(small, old, new, message):
     assert old in REDUCED
     (small / "small.toml").write_text(REDUCED.replace(old, new, 1))
     ended = typed("run", "small.toml")
     assert (ended.code, ended.stdout) == (2, "")
-    assert told in ended.stderr
+    assert message in ended.stderr
     assert all(line.startswith("fic-sweep: small.toml: ") for line in ended.stderr.splitlines())
     assert not list(small.glob("*.zarr"))
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (("--over", "Tb", "--max", "nmse"), "all.zarr: `reduce.over` must name dimensions, but"),
         (("--over", "Td"), "all.zarr: `reduce` must name a statistic (max, min, mean, std,"),
@@ -130,17 +130,17 @@ def test_a_mistake_in_the_table_is_one_line(small, old, new, told):
         (("--over", "Td", "--best", "K0", "--by", "nmze"), "`reduce.by` must name metrics of the"),
     ],
 )
-def test_a_wrong_request_is_one_line_and_writes_nothing(run, monkeypatch, options, told):
+def test_a_wrong_request_is_one_line_and_writes_nothing(run, monkeypatch, options, message):
     monkeypatch.chdir(run)
     before = set(run.iterdir())
     ended = typed("reduce", "all.zarr", *options)
     assert (ended.code, ended.stdout) == (2, "")
-    assert told in ended.stderr and len(ended.stderr.splitlines()) == 1
+    assert message in ended.stderr and len(ended.stderr.splitlines()) == 1
     assert set(run.iterdir()) == before
 
 
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
         (("reduce", "small.zarr", "--over", "K0", "--max", "nmse"), "is reduced already; reduce"),
         (("history", "small.zarr", "--at", "K0=10"), "is reduced, and a cell of it has no motion"),
@@ -148,11 +148,11 @@ def test_a_wrong_request_is_one_line_and_writes_nothing(run, monkeypatch, option
         (("plot", "small.zarr", "--x", "K0", "--metric", "nmse"), "Did you mean 'nmse_max'?"),
     ],
 )
-def test_what_a_reduced_store_does_not_do(run, monkeypatch, arguments, told):
+def test_what_a_reduced_store_does_not_do(run, monkeypatch, arguments, message):
     monkeypatch.chdir(run)
     ended = typed(*arguments)
     assert (ended.code, ended.stdout) == (2, "")
-    assert told in ended.stderr and len(ended.stderr.splitlines()) == 1
+    assert message in ended.stderr and len(ended.stderr.splitlines()) == 1
 
 
 def test_a_killed_run_is_resumed_with_the_same_bits(small):
@@ -189,10 +189,13 @@ def test_a_store_with_missing_scenarios_is_not_reduced_unless_asked(run, monkeyp
     (part,) = run.glob("*.1-of-2.zarr")
     call("merge", part.name, "--incomplete", "--out", "half.zarr", code=0, folder=run)
     options = ("--over", "Td", "--max", "nmse")
-    for store, told in ((part.name, "merge the parts first"), ("half.zarr", "`fic-sweep resume")):
+    for store, message in (
+        (part.name, "merge the parts first"),
+        ("half.zarr", "`fic-sweep resume"),
+    ):
         ended = typed("reduce", store, *options)
         assert (ended.code, ended.stdout) == (2, "")
-        assert f"{store}: " in ended.stderr and told in ended.stderr
+        assert f"{store}: " in ended.stderr and message in ended.stderr
         assert len(ended.stderr.splitlines()) == 1
     assert typed("reduce", "half.zarr", *options, "--untrusted", "0.9").code == 0
     assert typed("resume", "half.zarr").code == 0

@@ -384,9 +384,9 @@ def test_a_command_of_a_job_array_is_repeated(stores, quick):
             ({"shard": Shard(2, 2)}, "begun with another --shard; "),
             ({"precision": 64}, "begun by another program .dtype was float32, is float64"),
         ):
-            told = {"plan": WHOLE, "chunk": 2, "precision": 32, "shard": Shard(1, 2)} | change
+            arguments = {"plan": WHOLE, "chunk": 2, "precision": 32, "shard": Shard(1, 2)} | change
             with pytest.raises(SweepError, match=line):
-                runner.start_or_reopen(part, **told)
+                runner.start_or_reopen(part, **arguments)
         change_attributes(part, jax="0.1")
         with pytest.raises(SweepError, match=r"begun by another program \(jax was 0.1, is "):
             part_of(path, "1/2")
