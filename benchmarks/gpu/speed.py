@@ -202,28 +202,16 @@ def _launched(program: Any, batch: Params, n: int) -> Callable[[], float]:
     """Seconds of a launch of the kernel, by CUDA events, on columns that are on the card."""
     from cuda.core import Device, EventOptions
 
-    from fic_jax.lanes.gpu import Stage, laid_out
-
     leaves = [*sweeping.columns(vars(batch)), np.asarray(DT, np.asarray(batch.K0).dtype)]
     (kernel, _), *_ = program._compiled.values()
-    device = Device(program._gpus[0])
-    device.set_current()
-    varying = [leaf.strides not in ((), (0,)) for leaf in leaves]
-    lengths = [n if one else 1 for one in varying] + [n] * len(kernel.results)
-    places, size = laid_out([*kernel.types, *kernel.results], lengths)
-    split = places[len(leaves) - 1].stop
-    stage = Stage(program._gpus[0], split, size)
-    for place, leaf, of in zip(places, leaves, kernel.types, strict=False):
-        row = stage.host[place].view(of)
-        row[:] = leaf if leaf.ndim == 0 else leaf[: len(row)]
-    stage.copy(stage.address, stage.host.ctypes.data, split)
-    addresses = [stage.address + place.start for place in places]
+    columns = ExitStack()  # on the card as long as somebody can call `seconds`
+    stage, launch, _ = columns.enter_context(kernel.loaded(leaves, n))
     options = EventOptions(timing_enabled=True)
-    begin, end = (device.create_event(options=options) for _ in range(2))
+    begin, end = (Device(program._gpus[0]).create_event(options=options) for _ in range(2))
 
-    def seconds() -> float:
+    def seconds(columns: ExitStack = columns) -> float:
         stage.stream.record(begin)
-        kernel.launch(stage.stream, addresses[: len(leaves)], varying, addresses[len(leaves) :], n)
+        launch()
         stage.stream.record(end)
         end.sync()
         return (end - begin) / 1000.0

@@ -30,19 +30,15 @@ UNROLL = 2
 
 # The backends of a kind of device, the fastest first: `auto` uses the first one that works.
 FASTEST: dict[str, tuple[Backend, ...]] = {"cpu": ("lanes", "xla"), "gpu": ("ptx", "pallas", "xla")}
-SLOWER = {  # what a user loses with another one than the first
+SLOWER = {  # (device, backend) -> what a user gets and loses where it is not the first
     ("cpu", "xla"): "XLA compiles the sweep instead, expect half the speed; `pip install llvmlite` "
     "if it is missing",
-    (
-        "gpu",
-        "pallas",
-    ): "Pallas compiles the sweep instead; `pip install 'fic-jax[gpu]'` if cuda.core "
-    "or llvmlite is missing",
+    ("gpu", "pallas"): "Pallas compiles the sweep instead; `pip install 'fic-jax[gpu]'` if "
+    "cuda.core or llvmlite is missing",
     ("gpu", "xla"): "XLA launches several kernels for each plant step instead, expect a hundredth "
     "of the speed; `pip install 'fic-jax[gpu]'` if cuda.core or llvmlite is missing",
 }
 STREAMS = 8  # of each GPU: parts that are copied or computed at the same time
-
 
 # [N] quantities in the order of QUANTITIES, dt -> results with leaves [N]
 Program = Callable[[Sequence[np.ndarray], np.ndarray], Any]

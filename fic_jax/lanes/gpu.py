@@ -34,12 +34,13 @@ class ThreadKernel:
 
     def __init__(
         self,
+        gpus: Sequence[int],
         function: Callable[..., Any],
         types: Sequence[Any],
+        uniform: Sequence[bool],
         results: Sequence[Any],
         dtype: np.dtype,
         key: str | None,
-        gpus: Sequence[int],
     ) -> None:
         from cuda.core import Device, ObjectCode
 
@@ -49,7 +50,7 @@ class ThreadKernel:
         oldest = min(NEWEST, *(tuple(Device(gpu).compute_capability) for gpu in gpus))
 
         def build() -> bytes:
-            roots = optimized(function, types, [False] * len(types), results, dtype)
+            roots = optimized(function, types, uniform, results, dtype)
             text = thread_ir(roots, dtype, self.types, self.results)
             return ptx(text, oldest).encode()
 
@@ -113,23 +114,34 @@ class ThreadKernel:
 
     def run(self, leaves: Sequence[np.ndarray], outs: Sequence[np.ndarray]) -> None:
         """Write the results into `outs`, [n] each, for arguments [n] or scalar."""
-        n = len(outs[0])
+        with self.loaded(leaves, len(outs[0])) as (stage, launch, results):
+            launch()
+            for address, out in zip(results, outs, strict=True):
+                stage.copy(out.ctypes.data, address, out.nbytes)
+            stage.stream.sync()
+
+    @contextmanager
+    def loaded(
+        self, leaves: Sequence[np.ndarray], n: int
+    ) -> "Iterator[tuple[Stage, Callable[[], None], list[int]]]":
+        """Put arguments [n] or scalar on a GPU; yields the stage, the launch, the results' addresses.
+
+        The stage is the caller's until the end of the `with`.
+        """
         varying = [leaf.strides not in ((), (0,)) for leaf in leaves]
-        lengths = [n if one else 1 for one in varying] + [n] * len(outs)
+        lengths = [n if varies else 1 for varies in varying] + [n] * len(self.results)
         places, size = laid_out([*self.types, *self.results], lengths)
         read, written = places[: len(leaves)], places[len(leaves) :]
         split = read[-1].stop if read else 0
         with _stage(next(self._gpus), split, size) as stage:
-            for place, leaf, of, one in zip(read, leaves, self.types, varying, strict=True):
-                stage.host[place].view(of)[:] = leaf if one or not leaf.ndim else leaf[:1]
+            for place, leaf, dtype in zip(read, leaves, self.types, strict=True):
+                column = stage.host[place].view(dtype)
+                column[:] = leaf[: len(column)] if leaf.ndim else leaf
             stage.copy(stage.address, stage.host.ctypes.data, split)
-            sources, targets = (
+            columns, results = (
                 [stage.address + place.start for place in places] for places in (read, written)
             )
-            self.launch(stage.stream, sources, varying, targets, n)
-            for target, out in zip(targets, outs, strict=True):
-                stage.copy(out.ctypes.data, target, out.nbytes)
-            stage.stream.sync()
+            yield stage, lambda: self.launch(stage.stream, columns, varying, results, n), results
 
 
 def laid_out(types: Sequence[np.dtype], lengths: Sequence[int]) -> tuple[list[slice], int]:

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -123,27 +124,20 @@ class LaneMap:
             if result is None:
                 result = jax.eval_shape(flat, *types)
             key = self._key and f"{self._key} {tree}"
-            kernel = self._compile(flat, types, uniform, jax.tree.leaves(result), dtype, key)
+            compiled = self._target()
+            kernel = compiled(flat, types, uniform, jax.tree.leaves(result), dtype, key)
             self._compiled[signature] = kernel, result
         return self._compiled[signature]
 
-    def _compile(
-        self,
-        function: Callable[..., Any],
-        types: Sequence[Any],
-        uniform: Sequence[bool],
-        results: Sequence[Any],
-        dtype: np.dtype,
-        key: str | None,
-    ) -> "Kernel | ThreadKernel":
-        # late: llvmlite or cuda.core may be missing, and they take a while
+    def _target(self) -> "Callable[..., Kernel | ThreadKernel]":
+        """What compiles; late, since llvmlite or cuda.core may be missing, and take a while."""
         if self._gpus:
             from fic_jax.lanes.gpu import ThreadKernel
 
-            return ThreadKernel(function, types, results, dtype, key, self._gpus)
+            return partial(ThreadKernel, self._gpus)
         from fic_jax.lanes.kernel import Kernel
 
-        return Kernel(function, types, uniform, results, dtype, key)
+        return Kernel
 
 
 def lane_map(
