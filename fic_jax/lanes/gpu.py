@@ -124,9 +124,9 @@ class ThreadKernel:
     def loaded(
         self, leaves: Sequence[np.ndarray], n: int
     ) -> "Iterator[tuple[Stage, Callable[[], None], list[int]]]":
-        """Put arguments [n] or scalar on a GPU; yields the stage, the launch, the results' addresses.
+        """Put arguments, [n] or scalar, on a GPU until the end of the `with`.
 
-        The stage is the caller's until the end of the `with`.
+        Yields the stage, a function that launches the kernel, and the addresses of the results.
         """
         varying = [leaf.strides not in ((), (0,)) for leaf in leaves]
         lengths = [n if varies else 1 for varies in varying] + [n] * len(self.results)
