@@ -62,7 +62,9 @@ class Params:
 
 def meaning(about: Mapping[str, str]) -> str:
     """Meaning and unit of a field, from its metadata; empty if it has none."""
-    return f"{about['meaning']}, in {about['unit']}" if about else ""
+    if not about:
+        return ""
+    return about["meaning"] + (f", in {about['unit']}" if about["unit"] != "1" else "")
 
 
 QUANTITIES = {f.name: f.metadata for f in dataclasses.fields(Params)}

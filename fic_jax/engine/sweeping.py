@@ -271,7 +271,13 @@ def _by_lanes(
     """The lane compiler's program for a CPU or for GPUs, compiled."""
     sources = digest(Path(__file__).parent.parent)
     key = sources and f"{sources} {model} {n_steps} {error_estimate}"
-    gpus = cuda_ordinals(devices) if backend == "ptx" else ()
+    gpus: Sequence[int] = ()
+    if backend == "ptx":
+        try:
+            gpus = cuda_ordinals(devices)
+        except ImportError as error:
+            wanted = "cuda.core (`pip install 'fic-jax[gpu]'`)"
+            raise ImportError(f"the backend `ptx` needs {wanted}: {error}") from None
     mapped = lane_map(
         scenario(model, n_steps, error_estimate),
         threads=len(gpus) * STREAMS or threads(devices),
@@ -288,12 +294,12 @@ def _by_lanes(
 def cuda_ordinals(devices: Sequence[jax.Device]) -> list[int]:
     """The GPUs among JAX's devices; those that the driver has, if JAX uses none.
 
-    Raises an error of cuda.core where there is no driver.
+    Raises ImportError without cuda.core, its own error where there is no driver.
     """
-    if gpus := [d.local_hardware_id for d in devices if d.platform == "gpu"]:
-        return gpus
     from cuda.core import Device
 
+    if gpus := [d.local_hardware_id for d in devices if d.platform == "gpu"]:
+        return gpus
     Device(0)  # raises
     return [device.device_id for device in Device.get_all_devices()]
 

@@ -266,7 +266,7 @@ def _chosen(grid: Grid, reduce: Reduction, rows: dict[str, np.ndarray]) -> Value
     for name in needs:
         status = flat[f"{name}_status"]
         if reduce.best:  # what is not known of `by` leaves the choice open, and all that follows
-            status = np.where(refused, flat[f"{reduce.by}_status"], status)
+            status = np.where(refused, _why_open(flat, str(reduce.by)), status)
         out[f"{name}_status"] = status
         good = (status == OK) & ~none
         for statistic in _of(reduce, name):
@@ -284,6 +284,13 @@ def _chosen(grid: Grid, reduce: Reduction, rows: dict[str, np.ndarray]) -> Value
     return out
 
 
+def _why_open(flat: Mapping[str, np.ndarray], by: str) -> np.ndarray:
+    """The status of cells whose choice is open, because something of `by` is not known."""
+    doubted = flat[f"{by}_untrusted_share"] >= flat["not_run_share"]
+    within = np.where(doubted, UNTRUSTED, NOT_RUN)  # of what `untrusted` allows
+    return np.where(flat[f"{by}_status"] == OK, within, flat[f"{by}_status"])
+
+
 def _of(reduce: Reduction, name: str) -> list[str]:
     """The statistics of a metric or a condition."""
     if name in reduce.share:
@@ -299,15 +306,17 @@ def _best(
     """Of each cell: the candidate, the best one or -1, its worst case, and whether it is refused.
 
     The worst case of a candidate is the largest known value of `by`, infinite where a scenario
-    diverged. Of a refused candidate it is a lower bound: if even that is larger than another worst
-    case, the choice does not depend on it; if it is the smallest, the cell is refused. Where all
-    worst cases are infinite none is best.
+    diverged. It is a lower bound if one is not known, whatever `untrusted` allows: otherwise the
+    choice would look for what is missing. If even that is larger than another worst case, the
+    choice does not depend on it; if it is the smallest, the cell is refused. Where all worst cases
+    are infinite none is best.
     """
     worst = np.where(rows["diverged_share"] > 0, np.inf, rows[f"{reduce.by}_max"])
     worst = np.where(np.isnan(worst), -np.inf, worst)  # nothing is known of it
     lowest = worst.min(axis=1)
     smallest = worst == lowest[:, None]
-    sure = smallest & (rows[f"{reduce.by}_status"] == OK)
+    unknown = rows[f"{reduce.by}_untrusted_share"] + rows["not_run_share"] > 0
+    sure = smallest & ~unknown
     at = np.argmax(np.where(sure.any(axis=1)[:, None], sure, smallest), axis=1)
     refused = ~sure.any(axis=1)
     best = np.where(refused | np.isposinf(lowest), -1, at)
