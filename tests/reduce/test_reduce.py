@@ -394,7 +394,7 @@ def test_a_reduced_store_says_what_it_is(reduced):
     )
     assert re.search(r"values +nmse [\d.]+ % \(.* not trusted", lines)
     grid = reduced.grid
-    assert f"= {grid.full.cells} scenarios of 60 steps" in messages.plan_lines(grid, "float32")[0]
+    assert f"= {grid.full.cells:,} scenarios of 60 steps" in messages.plan_lines(grid, "float32")[0]
     for name, variable in dataset(reduced.path).data_vars.items():
         assert variable.attrs["long_name"], name
 
