@@ -5,6 +5,7 @@
 - `store`: the result store on disk
 - `merge`: one store of the shards of a sweep
 - `reduce`: the statistics of a reduced store, from cells that are computed or read
+- `refine`: which cells of a refined store are simulated, round after round
 - `runner`: computes the blocks of a store; `provenance`: names the program and the machine
 - `cluster`: the blocks of a store on the workers of a Dask client; `worker`: what each worker does
 - `devices`: starts JAX, or names the variable of the environment that keeps it from starting
@@ -16,7 +17,7 @@
 
 From Python, `sweeps.run` does what the command `run` does.
 
-Imports point one way: cli -> paper -> runner -> reduce -> store -> plan -> spec -> fic_jax.
+Imports point one way: cli -> paper -> runner -> {reduce, refine} -> store -> plan -> spec -> fic_jax.
 """
 
 from pathlib import Path
@@ -62,6 +63,10 @@ def run(
         in_library = LIBRARY / f"{sweep}.toml"
         known = isinstance(sweep, str) and "/" not in sweep and in_library.is_file()
         sweep = load(in_library if known else Path(sweep))
+    if client:
+        from sweeps.cluster import Cluster, refuse_refined
+
+        refuse_refined(sweep)
     place = Path(path or f"{sweep.name}.zarr")
     try:
         runner.configure(sweep.bits)
@@ -72,8 +77,6 @@ def run(
     store = runner.start_or_reopen(place, sweep, chunk, sweep.bits, None)
     run_blocks = None
     if client:
-        from sweeps.cluster import Cluster
-
         run_blocks = Cluster(client, store).run_blocks
     runner.run(store, on_progress or (lambda _: None), run_blocks=run_blocks)
     return open_store(store.path)

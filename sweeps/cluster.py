@@ -26,6 +26,7 @@ from sweeps import worker
 from sweeps.provenance import provenance
 from sweeps.runner import ATTEMPTS, Committed, set_aside
 from sweeps.spec.mistakes import SweepError, printable
+from sweeps.spec.types import Sweep
 from sweeps.store.commit import Writer, delete_partials
 from sweeps.store.fsync import PARTIAL
 from sweeps.store.ledger import SET_ASIDE, Row
@@ -57,6 +58,13 @@ def check_place(place: str) -> int:
         wanted = "local:N with N workers of this machine, or a scheduler such as tcp://host:8786"
         raise SweepError(f"--dask {printable(place)}: must be {wanted}")
     return 0
+
+
+def refuse_refined(sweep: Sweep) -> None:
+    """Raise SweepError for a refined sweep: which cells it needs, its process alone knows."""
+    if sweep.refine:
+        why = "is refined, which one process does; run it without a cluster"
+        raise SweepError(f"{sweep.name}: {why}")
 
 
 @contextmanager

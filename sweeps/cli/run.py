@@ -85,6 +85,7 @@ def run(
     runner.configure(sweep.bits, device and device.value)
     path = out or Path(f"{sweep.name}.zarr")
     path = share.part(path) if share else path
+    _refuse_refined(sweep, dask)
     if dry_run:
         _print_plan(sweep, chunk, share)
         warn(sweep)
@@ -122,6 +123,7 @@ def resume(
     with system_errors_reported(path):
         extension.recover(path)
         store = reopen(path)
+        _refuse_refined(store.grid.sweep, dask)
         if larger:
             store = extension.extend(store, larger, str(file))
             warn(larger, advice=False)  # a store keeps its dt and precision
@@ -130,6 +132,13 @@ def resume(
             store.check_done()
     with _client(dask) as client:
         _finish(store, stop, client)
+
+
+def _refuse_refined(sweep: "Sweep", dask: str | None) -> None:
+    if dask is not None:
+        from sweeps.cluster import refuse_refined
+
+        refuse_refined(sweep)
 
 
 @contextmanager

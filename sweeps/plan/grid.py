@@ -51,6 +51,9 @@ class Grid:
             if n > most:
                 wanted = f"a number of cells that makes at most {most:,} {what}"
                 raise SweepError(f"{self.sweep.name}: `--chunk` must be {wanted}, not {n:,}")
+        if self.shard and self.sweep.refine:
+            why = "is refined where its cells differ, which no shard knows of the others"
+            raise SweepError(f"--shard {self.shard}: {self.sweep.name} {why}; run it whole")
         if self.shard and self.shard.n > self.n_blocks:
             limit = (
                 f"N must be at most {self.n_blocks:,}, the number of blocks of {self.sweep.name}"
@@ -86,6 +89,13 @@ class Grid:
     @property
     def cells(self) -> int:
         return math.prod(self.shape)
+
+    @property
+    def most_runs(self) -> int:
+        """The most scenarios that a run of these cells simulates."""
+        refine = self.sweep.refine
+        most = refine.budget if refine and refine.budget else self.cells
+        return min(most, self.own_cells * self.combinations)
 
     @property
     def block_cells(self) -> int:
@@ -179,6 +189,37 @@ class Grid:
                     along = np.asarray(values, dtype).reshape(sides)
                     fields[name] = np.broadcast_to(along, shape).reshape(-1)
         return Params(**{name: np.asarray(value, dtype) for name, value in fields.items()})
+
+    def cells_in(self, index: int) -> np.ndarray:
+        """The numbers of a block's cells among all cells, in storage order."""
+        along = np.ix_(*(np.arange(part.start, part.stop) for part in self.block(index)))
+        return np.ravel_multi_index(along, self.shape).ravel()
+
+    def batches(self, cells: np.ndarray) -> Iterator[np.ndarray]:
+        """Cells anywhere in the grid, by their numbers, in parts of one model and a block's size."""
+        index = np.unravel_index(cells, self.shape)
+        models = [i for dim, i in zip(self.dims, index, strict=True) if dim in self.sweep.model]
+        lengths = [n for dim, n in self.dims.items() if dim in self.sweep.model]
+        number = np.ravel_multi_index(models, lengths) if models else np.zeros(len(cells), int)
+        for one in np.unique(number):
+            same = cells[number == one]
+            for start in range(0, len(same), self.block_cells):
+                yield same[start : start + self.block_cells]
+
+    def scenarios(self, cells: np.ndarray, dtype: str = "float64") -> tuple[Params, Model]:
+        """The scenarios of cells anywhere in the grid, and the model that all of them share.
+
+        The Params are those of `params`, bit for bit.
+        """
+        index = np.unravel_index(cells, self.shape)
+        fields: dict[str, Any] = vars(Params()) | self.sweep.constants
+        for dim, along in zip(self.dims, index, strict=True):
+            for name, values in self.coordinates(dim).items():
+                if name in QUANTITIES:
+                    fields[name] = np.asarray(values, dtype)[along]
+        first = tuple(slice(int(along[0]), int(along[0]) + 1) for along in index)
+        params = {name: np.asarray(value, dtype) for name, value in fields.items()}
+        return Params(**params), self.model(first)
 
     def coordinates(self, dim: str, part: slice = slice(None)) -> dict[str, np.ndarray]:
         """Values at the indices `part` of all that varies along a dimension, by name."""

@@ -24,6 +24,9 @@ def reduced_sweep(store: Store, reduce: dict[str, Any]) -> Sweep:
     sweep = store.grid.sweep
     if sweep.reduce:
         raise SweepError(f"{store.path}: is reduced already; reduce the store with all its cells")
+    if sweep.refine:
+        why = "most of its cells were not simulated, and would count as if they had been"
+        raise SweepError(f"{store.path}: is refined: {why}; reduce a store with all its cells")
     store.check_definition()
     precision = int(store.dtype.removeprefix("float"))
     raw = json.loads(sweep.record())

@@ -1,5 +1,5 @@
 """A condition on a scenario, as `nmse_tail < 1e-3 and contact_lost == 0`: names of metrics and
-fields, numbers, comparisons, arithmetic, `and`, `or`, `not` and parentheses.
+fields, numbers, inf, comparisons, arithmetic, `and`, `or`, `not` and parentheses.
 
 Python's parser reads it. Only the nodes in `_OPERATORS` and a few others are evaluated: no call, no
 attribute, no index.
@@ -43,7 +43,8 @@ def names(text: str) -> list[str]:
     """The names in a condition, each once. Raises ConditionError if it is none."""
     tree = _parsed(text)
     called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
-    found = [n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and id(n) not in called]
+    words = [n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and id(n) not in called]
+    found = [word for word in words if word != "inf"]
     holds(text, dict.fromkeys(found, 1.0))  # on trial
     return list(dict.fromkeys(found))
 
@@ -92,6 +93,8 @@ def _value(node: ast.expr, values: Mapping[str, Any]) -> Any:
             result = _operator(op)(*of([left, right], logical=False))
         case ast.Call(func=ast.Name(id="abs"), args=[part], keywords=[]):
             result = np.abs(of([part], logical=False)[0])
+        case ast.Name(id="inf"):
+            result = np.inf
         case ast.Name(id=name):
             result = values[name]
         case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):

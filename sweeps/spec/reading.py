@@ -86,6 +86,7 @@ def validate(raw: dict[str, Any], source: str) -> Sweep:
     if sweep:
         lines += rules.unknown_names(sweep)
         lines += rules.reduction(sweep)
+        lines += rules.refinement(sweep)
         known = rules.known_names(sweep)
         for stage in (rules.placement, rules.time_grid, rules.fields_out_of_bounds):
             lines += stage(known)
@@ -118,7 +119,7 @@ def _without_wrong_entries(raw: dict[str, Any]) -> tuple[Sweep | None, list[str]
 def _remove(record: dict[str, Any], place: list[str]) -> None:
     """Remove the entry at a place of a record, and what can't be checked without it."""
     table = record.get(place[0])
-    if place[0] in ("sample", "reduce") or len(place) < 2 or not isinstance(table, dict):
+    if place[0] in ("sample", "reduce", "refine") or len(place) < 2 or not isinstance(table, dict):
         record.pop(place[0], None)
         return
     table.pop(place[1], None)

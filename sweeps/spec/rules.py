@@ -16,11 +16,14 @@ from sweeps.spec.types import (
     MAX_CELLS,
     MAX_PERIODS,
     MAX_REDUCED,
+    MAX_REFINED,
+    MAX_RUNS,
     MAX_STEPS,
     MAX_VALUES,
     ROUNDING,
     STORED,
     Reduction,
+    Refinement,
     SpacedRange,
     Sweep,
 )
@@ -136,6 +139,76 @@ def _reduced_sizes(sweep: Sweep, reduce: Reduction) -> Iterator[str]:
         )
 
 
+def refinement(sweep: Sweep) -> Iterator[str]:
+    """What a `[refine]` names that the sweep does not have, and grids that are too large."""
+    if not (refine := sweep.refine):
+        return
+    for table in ("sample", "reduce"):
+        if getattr(sweep, table):
+            yield f"`refine` must be without `{table}`, but both are given."
+    axes = refine.axes or []
+    for name in axes:
+        if name not in sweep.axes:
+            yield f"`refine.axes` must name axes, but has `{name}`{hint(name, sweep.axes)}"
+        elif not isinstance(sweep.axes[name], SpacedRange):
+            example = "{ log = [1, 100], n = 17 }"
+            yield f"`refine.axes` must name ranges such as {example}, but `{name}` is a list."
+    if len(set(axes)) < len(axes):
+        yield f"`refine.axes` must be different from each other, but is {axes}."
+    if not sweep.refined:
+        yield "`refine` must have an axis that is a range, but there is none."
+    yield from _differences(sweep, refine)
+    yield from _refined_sizes(sweep, refine)
+
+
+def _differences(sweep: Sweep, refine: Refinement) -> Iterator[str]:
+    """What may differ in a box: conditions and metrics."""
+    metrics = list(sweep.metrics)
+    lacks = {name: "; `metrics` lacks it" for name in STORED if name not in metrics}
+    if not (refine.classes or refine.absolute or refine.relative):
+        yield "`refine` must name classes or a metric (absolute, relative), but has neither."
+    for text in refine.classes:
+        try:
+            used = names(text)
+        except ConditionError as wanted:
+            yield f"`refine.classes` must be {wanted}, but has {excerpt(text)}."
+            continue
+        for name in (n for n in used if n not in metrics):
+            yield f"`refine.classes` must have names of metrics alone, but has `{name}`" + lacks.get(
+                name, hint(name, metrics)
+            )
+        if not used:
+            yield f"`refine.classes` must name a metric, but has {excerpt(text)}."
+    for key, table in (("absolute", refine.absolute), ("relative", refine.relative)):
+        for name in (n for n in table if n not in metrics):
+            yield f"`refine.{key}` must name metrics of the sweep, but has `{name}`" + lacks.get(
+                name, hint(name, metrics)
+            )
+    for name in refine.absolute.keys() & refine.relative.keys():
+        yield f"`refine` must have one tolerance of `{name}`, but has an absolute and a relative one."
+
+
+def _refined_sizes(sweep: Sweep, refine: Refinement) -> Iterator[str]:
+    """A refined grid must fit into memory, and its budget must do for the coarse one."""
+    coarse = math.prod(sweep.model_copy(update={"refine": None}).dims.values())
+    cells = math.prod(sweep.dims.values())
+    if cells > MAX_REFINED or max(sweep.dims.values(), default=0) > MAX_AXIS:
+        yield (
+            f"`refine.levels` must make at most {MAX_REFINED:,} cells, and {MAX_AXIS:,} along an "
+            f"axis, but {refine.levels} make {excerpt(cells)}."
+        )
+        return
+    if refine.budget is not None and refine.budget < coarse:
+        yield (
+            f"`refine.budget` must be at least {coarse:,}, the scenarios of the coarse grid, but "
+            f"is {refine.budget:,}."
+        )
+    if min(refine.budget or cells, cells) > MAX_RUNS:
+        yield f"`refine.budget` must be at most {MAX_RUNS:,}, but " + (
+            f"is {refine.budget:,}." if refine.budget else f"is missing, and there are {cells:,} cells."
+        )
+
+
 def known_names(sweep: Sweep) -> Sweep:
     """The sweep without the names that `unknown_names` finds."""
 
@@ -162,7 +235,8 @@ def placement(sweep: Sweep) -> Iterator[str]:
     lengths = {name: len(values) for name, values in sweep.cases.items()}
     if len(set(lengths.values())) > 1:
         yield f"`cases` must be columns of equal length, but are {lengths}."
-    for name, axis in sweep.axes.items():
+    for name in sweep.axes:
+        axis = sweep.axis(name)
         if not (axis.distinct if isinstance(axis, SpacedRange) else _distinct(axis)):
             yield f"`axes.{name}` must be values that differ, but some are given twice."
     if sweep.sample and "period" in sweep.sample.ranges:
@@ -183,7 +257,7 @@ def _sizes(sweep: Sweep) -> Iterator[str]:
     if design and design.method == "lhs" and design.n * len(design.ranges) > MAX_AXIS:
         most = MAX_AXIS // len(design.ranges)
         yield f"`sample.n` must be at most {most:,} with lhs, but is {design.n}."
-    period = sweep.axes.get("period")
+    period = sweep.axis("period") if "period" in sweep.axes else None
     if isinstance(period, SpacedRange) and period.n > MAX_PERIODS:
         yield f"`axes.period.n` must be at most {MAX_PERIODS:,}, but is {period.n}."
 

@@ -22,6 +22,10 @@ MAX_CASES = 10_000  # rows of [cases]: a person writes them
 MAX_CELLS = 10**12  # scenarios of a sweep: each float32 variable then takes 4 TB
 MAX_REDUCED = 1_000_000_000  # scenarios of a cell of a reduced store: hours, without a commit
 MAX_VALUES = 100_000_000  # of a quantile: 0.4 to 0.8 GB
+MAX_REFINED = 100_000_000  # cells of a refined grid: choosing among them takes 30 bytes for each
+MAX_RUNS = 20_000_000  # scenarios of a refined sweep: their values, 50 to 100 bytes, are in memory
+MAX_LEVELS = 20
+MAX_CLASSES = 7  # conditions: a byte has room for all combinations, and for what diverged
 MAX_NAMES = 100  # metrics or choices in a list: fic_jax has fewer
 MAX_STEPS = 100_000_000  # plant steps: the engine counts them in int32
 PIECE = 1_000_000  # values computed at once: extended precision takes 16 bytes for each
@@ -124,6 +128,10 @@ class SpacedRange(Range):
         first_larger = abs(self.ends[0]) > abs(self.ends[1])
         return self.values(slice(0, 2) if first_larger else slice(self.n - 2, self.n))
 
+    def halved(self, times: int) -> "SpacedRange":
+        """The range with a value midway between neighbours, on its scale, then again."""
+        return self.model_copy(update={"n": (self.n - 1) * 2**times + 1})
+
     @property
     def distinct(self) -> bool:
         """Whether neighbouring values differ by more than their rounding."""
@@ -217,6 +225,27 @@ class Reduction(Record):
         return list(dict.fromkeys(name for names in named for name in names))
 
 
+Tolerance = Annotated[Number, Field(gt=0)]
+
+
+class Refinement(Record):
+    """Table `[refine]`: how often the distances on the axes may be halved, and where.
+
+    A box of the grid is halved where its cells differ: in what conditions hold, in what diverged,
+    or in a metric by more than a tolerance.
+    """
+
+    axes: Names | None = None  # None: all that are ranges
+    levels: Annotated[int, Strict(), Field(ge=1, le=MAX_LEVELS)]
+    budget: Annotated[int, Strict(), Field(ge=1)] | None = None  # most scenarios
+    classes: Annotated[list[Condition], Field(max_length=MAX_CLASSES)] = [
+        "convergence_time < inf",
+        "contact_lost == 0",
+    ]
+    absolute: Annotated[dict[str, Tolerance], Field(max_length=MAX_NAMES)] = {}
+    relative: Annotated[dict[str, Tolerance], Field(max_length=MAX_NAMES)] = {}
+
+
 class Sweep(Record):
     """A sweep file. With the program and the precision it determines every number of a store."""
 
@@ -232,6 +261,7 @@ class Sweep(Record):
     cases: dict[str, Column] = {}
     sample: RandomDesign | None = None
     reduce: Reduction | None = None
+    refine: Refinement | None = None
 
     @property
     def n_steps(self) -> int:
@@ -247,15 +277,32 @@ class Sweep(Record):
         """Name and length of each dimension, in order: model lists, axes, `case`, `scenario`.
 
         Those that a reduction takes away are among them: a `Grid` has the dimensions of the store.
+        A refined axis has its finest values.
         """
         dims = {name: len(c) for name, c in self.model.items() if isinstance(c, list)}
-        for name, axis in self.axes.items():
+        for name in self.axes:
+            axis = self.axis(name)
             dims[name] = axis.n if isinstance(axis, SpacedRange) else len(axis)
         if self.cases:
             dims["case"] = len(next(iter(self.cases.values())))
         if self.sample:
             dims["scenario"] = self.sample.n
         return dims
+
+    @property
+    def refined(self) -> list[str]:
+        """The axes that a refinement halves."""
+        if not self.refine:
+            return []
+        ranges = [name for name, axis in self.axes.items() if isinstance(axis, SpacedRange)]
+        return ranges if self.refine.axes is None else self.refine.axes
+
+    def axis(self, name: str) -> list[float] | SpacedRange:
+        """An axis as the store has it: a refined one with its finest values."""
+        axis = self.axes[name]
+        if self.refine and name in self.refined and isinstance(axis, SpacedRange):
+            return axis.halved(self.refine.levels)
+        return axis
 
     def held(self) -> dict[str, float | str]:
         """Fields and choices that do not vary, with their values; defaults are among them."""
@@ -270,7 +317,7 @@ class Sweep(Record):
 
     def axis_values(self, name: str, part: slice = slice(None)) -> np.ndarray:
         """Values of an axis at the indices `part`."""
-        axis = self.axes[name]
+        axis = self.axis(name)
         return axis.values(part) if isinstance(axis, SpacedRange) else np.array(axis[part])
 
     def field_values(self, name: str) -> np.ndarray:
@@ -305,7 +352,7 @@ class Sweep(Record):
         }
 
     def _axis_values_to_check(self, name: str) -> np.ndarray:
-        axis = self.axes[name]
+        axis = self.axis(name)
         if isinstance(axis, list) or (name == "period" and axis.n <= MAX_PERIODS):
             return self.axis_values(name)  # any single period may be no multiple of dt
         return axis.outermost

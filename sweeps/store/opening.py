@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 import zarr
 
-from sweeps.plan.grid import Grid
+from sweeps.plan.grid import Grid, cells_of
 from sweeps.plan.shard import Shard
 from sweeps.spec.mistakes import SweepError, command, printable
 from sweeps.spec.overrides import override
@@ -219,8 +219,13 @@ class Counts:
         """Count the rows of a store's ledger. Raises SweepError if the ledger is damaged."""
         rows = store.rows()
         cells = {name: sum(getattr(row, name) for row in rows) for name in list(STATUS)[OK:]}
-        cells = {"not run": store.grid.own_cells - sum(cells.values())} | cells
         done = {row.block for row in rows if row.outcome == DONE}
+        left = store.grid.own_cells - sum(cells.values())
+        if store.grid.sweep.refine:  # a finished block has no other cells than these
+            near = sum(cells_of(store.grid.block(block)) for block in done)
+            near -= sum(row.ok + row.diverged for row in rows if row.block in done)
+            cells, left = cells | {"nearby": near}, left - near
+        cells = {"not run": left} | cells
         return cls(
             cells,
             trusted={

@@ -1,0 +1,79 @@
+"""The values of the cells that were simulated, wherever they are in the grid."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sweeps.plan.grid import Grid, shape_of
+from sweeps.refine.boxes import Boxes
+from sweeps.store.commit import Values, no_values, read_block
+from sweeps.store.format import DIVERGED, DIVERGED_NEAR, LEVEL, OK, OK_NEAR
+from sweeps.store.opening import Store
+
+NONE = -1  # the row of a cell that was not simulated
+
+
+@dataclass
+class Table:
+    """One row for each simulated cell; `row` says which."""
+
+    grid: Grid
+    n: int = 0
+    columns: dict[str, list[np.ndarray]] = field(default_factory=dict)  # in pieces
+    row: np.ndarray = field(init=False)  # [cells]
+
+    def __post_init__(self) -> None:
+        self.row = np.full(self.grid.cells, NONE, np.int32)
+
+    def add(self, cells: np.ndarray, values: Values) -> None:
+        """Add cells with their values."""
+        self.row[cells] = np.arange(self.n, self.n + len(cells), dtype=np.int32)
+        for name, column in values.items():
+            self.columns.setdefault(name, []).append(column)
+        self.n += len(cells)
+
+    def values(self, name: str, cells: np.ndarray) -> np.ndarray:
+        """A variable in cells that were simulated."""
+        pieces = self.columns[name]
+        if len(pieces) > 1:
+            pieces[:] = [np.concatenate(pieces)]
+        return pieces[0][self.row[cells]]
+
+    def read(self, store: Store) -> None:
+        """Add what a store has."""
+        for known in store.rows():
+            values = read_block(store, known)
+            if values is not None:
+                there = np.isin(values["status"], (OK, DIVERGED))
+                cells = self.grid.cells_in(known.block)[there]
+                self.add(cells, {k: v[there] for k, v in values.items() if k != LEVEL})
+
+    def blocks(self, cells: np.ndarray) -> Iterator[int]:
+        """The blocks that have one of some cells."""
+        index = np.unravel_index(cells, self.grid.shape)
+        sides = zip(index, self.grid.block_shape, strict=True)
+        numbers = np.ravel_multi_index([i // side for i, side in sides], self.grid.counts)
+        return iter(np.unique(numbers).tolist())
+
+    def begun(self, block: int) -> Values:
+        """The variables of a block, with what is known of it so far."""
+        cells, values = self.grid.cells_in(block), no_values(self.grid, block)
+        there = self.row[cells] != NONE
+        for name in self.columns:
+            column = self.values(name, cells[there])
+            values[name] = values[name].astype(column.dtype)
+            values[name][there] = column
+        return values
+
+    def done(self, block: int, boxes: Boxes) -> Values:
+        """The variables of a block in which each cell has a value, its own or the nearest."""
+        place = self.grid.block(block)
+        cells, nearest = self.grid.cells_in(block), boxes.nearest(place).ravel()
+        own = self.row[cells] != NONE
+        source = np.where(own, cells, nearest)
+        values = {name: self.values(name, source) for name in self.columns}
+        near = np.where(values["status"] == OK, OK_NEAR, DIVERGED_NEAR)
+        values["status"] = np.where(own, values["status"], near).astype(np.uint8)
+        values[LEVEL] = boxes.resolution(place).reshape(np.prod(shape_of(place)))
+        return values
