@@ -15,10 +15,16 @@ from fic_jax import QUANTITIES
 from figures import style
 from sweeps.spec.digits import LEAST, digits
 from sweeps.store.format import (
+    DIVERGED,
+    DIVERGED_NEAR,
     ERRORS,
     FLAGS,
     JUDGEMENTS,
+    LEVEL,
+    NEAR,
+    NO_LEVEL,
     OK,
+    OK_NEAR,
     OLD_JUDGEMENTS,
     REFUSED,
     TRUSTED,
@@ -42,6 +48,8 @@ class Cells:
     values: np.ma.MaskedArray[Any, Any]
     special: Mapping[str, NDArray[np.bool_]]  # reason, a key of style.HATCHES -> cells
     untrusted: NDArray[np.bool_] | None  # cells that ran but are not trusted; None: unknown
+    simulated: NDArray[np.bool_] | None  # the others have a value from beside; None: not refined
+    level: NDArray[np.int_] | None  # how often the grid was halved around the cell
     trust_bound: str  # largest error of a trusted cell, as a formula
     name: str  # what the sweep is, in words
     fixed: tuple[str, ...]  # "symbol = value unit" of each fixed dimension, and the contact
@@ -66,7 +74,7 @@ def cut(data: xr.Dataset, drawn: Collection[str], metric: str, at: Wanted) -> xr
         for dim in data[metric].dims
         if dim not in drawn
     }
-    names = (metric, _judgement(data, metric), _own_status(data, metric), "status")
+    names = (metric, _judgement(data, metric), _own_status(data, metric), LEVEL, "status")
     wanted = [name for name in names if name in data]
     # isel before load: a store may be larger than memory, a picture is not
     part = data[wanted].isel(index).load()
@@ -90,6 +98,9 @@ def cells(part: xr.Dataset, metric: str) -> Cells:
     values = array.values.astype(float)
     # xarray decodes status 0, the fill value, as NaN
     status = np.nan_to_num(part["status"].values) if "status" in part else np.ones(values.shape)
+    near = np.isin(status, list(NEAR.values()))
+    for code, meant in ((OK_NEAR, OK), (DIVERGED_NEAR, DIVERGED)):
+        status = np.where(status == code, meant, status)
     if own := _own_status(part, metric):
         status = np.where(status == OK, np.nan_to_num(part[own].values), status)
     special = {key: status == code for key, code in REFUSED.items() if code != OK}
@@ -106,12 +117,19 @@ def cells(part: xr.Dataset, metric: str) -> Cells:
         values=np.ma.masked_array(values, mask=hidden),
         special={key: cells for key, cells in special.items() if cells.any()},
         untrusted=good & (part[judgement].values != TRUSTED) if judgement else None,
+        simulated=~near if LEVEL in part else None,
+        level=_levels(part[LEVEL].values) if LEVEL in part else None,
         trust_bound=_bound(part, judgement) if judgement else "",
         name=str(part.attrs.get("description") or part.attrs.get("name", "")),
         fixed=(*contact, *(_equation(c, n.get(c.name)) for c in _fixed(part))),
         held=held,
         cut=part.attrs["cut"],
     )
+
+
+def _levels(values: NDArray[Any]) -> NDArray[np.int_]:
+    """Levels as whole numbers; xarray decodes those that are not known as NaN."""
+    return np.asarray(np.nan_to_num(values, nan=NO_LEVEL), dtype=int)
 
 
 def require_metric(metric: str, data: xr.Dataset) -> None:

@@ -174,7 +174,17 @@ def _heights(ax: Axes, points: Points, log: bool) -> dict[str, hatch.Handle]:
     if points.joined:
         ax.plot(x, y, color=LINE, lw=1.0, zorder=2)
     size = 3.5 if points.joined else 2.5
-    if not points.joined or y.size <= FEW_MARKERS:
+    refined = points.simulated is not None
+    own = points.simulated if points.simulated is not None else np.ones(y.shape, bool)
+    if refined:  # between the markers the line has steps
+        marker: dict[str, Any] = {"marker": "o", "color": LINE, "ms": size / 2, "mew": 0}
+        ax.plot(x[own & ~doubt], y[own & ~doubt], ls="", zorder=3, **marker)
+        share = style.share(float(own.mean()))
+        entries[f"{share} % of cells simulated; between them a value from beside"] = Line2D(
+            [], [], lw=1.0, **marker
+        )
+        doubt = doubt & own
+    elif not points.joined or y.size <= FEW_MARKERS:
         ax.plot(x[~doubt], y[~doubt], "o", color=LINE, ms=size, mew=0, zorder=3)
     if doubt.any():
         look: dict[str, Any] = {"mfc": "white", "color": DOUBT, "mew": 0.7, "ms": size}

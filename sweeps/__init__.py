@@ -17,7 +17,8 @@
 
 From Python, `sweeps.run` does what the command `run` does.
 
-Imports point one way: cli -> paper -> runner -> {reduce, refine} -> store -> plan -> spec -> fic_jax.
+Imports point one way: cli -> paper -> runner -> {reduce, refine} -> store -> plan -> spec ->
+fic_jax.
 """
 
 from pathlib import Path

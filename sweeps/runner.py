@@ -181,7 +181,12 @@ def _run_rounds(store: Store, on_progress: OnProgress) -> Progress:
     def simulate(cells: np.ndarray) -> Values:
         batch, model = grid.scenarios(cells, store.dtype)
         values = values_of(*_simulated(grid.sweep, batch, model), grid.sweep.time.t_end)
-        return {name: np.asarray(values[name]) for name in store.variables if name in values}
+        # as a resumed run reads them
+        return {
+            name: np.asarray(values[name], store.array(name).dtype)
+            for name in store.variables
+            if name in values
+        }
 
     progress = Progress(grid.most_runs, 0, refined=True)
     with writing(store) as (writer, _):

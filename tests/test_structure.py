@@ -37,14 +37,16 @@ ARROWS = {
     "metrics": {"inputs", "params", "environment", "piece", "events", "simulation", "lanes.hints"},
     "accuracy": {"inputs", "params", "piece", "events", "metrics", "simulation"},
 }
-# Rooms, each with all rooms that it may import: cli -> {paper, figures} -> runner -> reduce ->
-# store -> plan -> spec -> fic_jax. The longest name that fits a module is its room.
+# Rooms, each with all rooms that it may import: cli -> {paper, figures} -> runner -> {reduce,
+# refine} -> store -> plan -> spec -> fic_jax. The longest name that fits a module is its room.
 SPEC = {"fic_jax", "sweeps.spec"}
 PLAN = {*SPEC, "sweeps.plan"}
 STORE = {*PLAN, "sweeps.store", "sweeps.disk"}
 REDUCE = {*STORE, "sweeps.reduce"}
+REFINE = {*STORE, "sweeps.refine"}
 RUNNER = {
     *REDUCE,
+    *REFINE,
     "sweeps.runner",
     "sweeps.provenance",
     "sweeps.compile_cache",
@@ -63,6 +65,7 @@ ROOMS = {
     "sweeps.devices": SPEC,
     "sweeps.provenance": {*SPEC, "sweeps"},  # sweeps: where the sources are
     "sweeps.reduce": REDUCE,
+    "sweeps.refine": REFINE,
     "sweeps.runner": RUNNER,
     "sweeps.worker": RUNNER,
     "sweeps.cluster": {*RUNNER, "sweeps.worker"},

@@ -119,7 +119,7 @@ def export(
     from sweeps.export import SUFFIX, files, write
     from sweeps.spec.mistakes import command
     from sweeps.store.format import NOT_RUN
-    from sweeps.store.opening import dataset, open_store
+    from sweeps.store.opening import Counts, dataset, open_store
 
     target = out or Path(_store_name(path) + SUFFIX[to.value])
     for file in files(target, to.value):
@@ -134,9 +134,11 @@ def export(
                 os._exit(1)  # HDF5 could not close its file, and would crash now
             raise typer.Exit(1) from None
     names = " and ".join(map(str, files(target, to.value)))
-    noun = "cell" if "reduced_over" in data.attrs else "scenario"
-    print(f"wrote {names}, {counted(rows, noun)}{_old_definition(data)}")
-    grid = open_store(path).grid
+    store = open_store(path)
+    grid = store.grid
+    noun = "cell" if grid.sweep.reduce or grid.sweep.refine else "scenario"
+    simulated = f", {Counts.of(store).done:,} of them simulated" if grid.sweep.refine else ""
+    print(f"wrote {names}, {counted(rows, noun)}{simulated}{_old_definition(data)}")
     others = grid.cells - grid.own_cells
     left = int((data["status"] == NOT_RUN).sum()) - others
     if others:

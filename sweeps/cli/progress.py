@@ -32,7 +32,7 @@ def _with_bar(store: "Store", stop: Stop, run_blocks: "RunBlocks | None") -> "Pr
 
     text = TextColumn("{task.percentage:>3.0f} % {task.fields[line]}")
     with Bar(TextColumn(store.grid.sweep.name), BarColumn(), text, transient=True) as bar:
-        task = bar.add_task("", total=store.grid.own_cells, line="compiling")
+        task = bar.add_task("", total=store.grid.most_runs, line="compiling")
 
         def show(progress: "Progress") -> None:
             bar.update(task, completed=progress.done, line=progress_line(progress))

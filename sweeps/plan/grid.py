@@ -93,9 +93,8 @@ class Grid:
     @property
     def most_runs(self) -> int:
         """The most scenarios that a run of these cells simulates."""
-        refine = self.sweep.refine
-        most = refine.budget if refine and refine.budget else self.cells
-        return min(most, self.own_cells * self.combinations)
+        scenarios, refine = self.own_cells * self.combinations, self.sweep.refine
+        return min(refine.budget, scenarios) if refine and refine.budget else scenarios
 
     @property
     def block_cells(self) -> int:
@@ -196,7 +195,7 @@ class Grid:
         return np.ravel_multi_index(along, self.shape).ravel()
 
     def batches(self, cells: np.ndarray) -> Iterator[np.ndarray]:
-        """Cells anywhere in the grid, by their numbers, in parts of one model and a block's size."""
+        """Cells anywhere in the grid, by number, in parts of one model, each at most a block."""
         index = np.unravel_index(cells, self.shape)
         models = [i for dim, i in zip(self.dims, index, strict=True) if dim in self.sweep.model]
         lengths = [n for dim, n in self.dims.items() if dim in self.sweep.model]

@@ -81,8 +81,10 @@ class Boxes:
         """
         most: list[np.ndarray | None] = [None] * self.levels
         for one in measures:
-            pyramids = zip(self._pyramid(one.low, np.minimum), self._pyramid(one.high, np.maximum))
-            for level, (low, high) in zip(reversed(range(self.levels)), pyramids, strict=True):
+            low_ends = self._pyramid(one.low, np.minimum)
+            high_ends = self._pyramid(one.high, np.maximum)
+            finest_first = reversed(range(self.levels))
+            for level, low, high in zip(finest_first, low_ends, high_ends, strict=True):
                 found, before = one.difference(low, high), most[level]
                 most[level] = found if before is None else np.maximum(before, found)
         levels, boxes, differences = [], [], []

@@ -61,9 +61,7 @@ class Table:
         cells, values = self.grid.cells_in(block), no_values(self.grid, block)
         there = self.row[cells] != NONE
         for name in self.columns:
-            column = self.values(name, cells[there])
-            values[name] = values[name].astype(column.dtype)
-            values[name][there] = column
+            values[name][there] = self.values(name, cells[there])
         return values
 
     def done(self, block: int, boxes: Boxes) -> Values:

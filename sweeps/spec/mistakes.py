@@ -9,7 +9,16 @@ from typing import Any
 
 from fic_jax import CHOICES, QUANTITIES, inputs
 from fic_jax.params import meaning
-from sweeps.spec.types import RandomDesign, Range, Record, Reduction, Refinement, SpacedRange, Sweep, Time
+from sweeps.spec.types import (
+    RandomDesign,
+    Range,
+    Record,
+    Reduction,
+    Refinement,
+    SpacedRange,
+    Sweep,
+    Time,
+)
 
 OTHER_WORDS = {  # key -> what it is called elsewhere; the words of its meaning are known besides
     "period": ("rate", "frequency", "hz", "sampling", "sample_time", "ts"),

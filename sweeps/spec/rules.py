@@ -174,8 +174,9 @@ def _differences(sweep: Sweep, refine: Refinement) -> Iterator[str]:
             yield f"`refine.classes` must be {wanted}, but has {excerpt(text)}."
             continue
         for name in (n for n in used if n not in metrics):
-            yield f"`refine.classes` must have names of metrics alone, but has `{name}`" + lacks.get(
-                name, hint(name, metrics)
+            yield (
+                f"`refine.classes` must have names of metrics alone, but has `{name}`"
+                + lacks.get(name, hint(name, metrics))
             )
         if not used:
             yield f"`refine.classes` must name a metric, but has {excerpt(text)}."
@@ -205,7 +206,9 @@ def _refined_sizes(sweep: Sweep, refine: Refinement) -> Iterator[str]:
         )
     if min(refine.budget or cells, cells) > MAX_RUNS:
         yield f"`refine.budget` must be at most {MAX_RUNS:,}, but " + (
-            f"is {refine.budget:,}." if refine.budget else f"is missing, and there are {cells:,} cells."
+            f"is {refine.budget:,}."
+            if refine.budget
+            else f"is missing, and there are {cells:,} cells."
         )
 
 

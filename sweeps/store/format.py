@@ -186,6 +186,8 @@ def attributes(grid: Grid) -> dict[str, Any]:
         "metrics_definition_meaning": DEFINITIONS[DEFINITION],
     }
     record |= {"shard": str(grid.shard)} if grid.shard else {}
+    if sweep.refine:
+        record |= {"refined_axes": " ".join(sweep.refined), "refined_levels": sweep.refine.levels}
     record |= {"reduced_over": json.dumps(_ranges(grid))} if sweep.reduce else {}
     return record | ({"error_estimate_meaning": ESTIMATE} if sweep.error_estimate else {})
 
