@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from sweeps.plan.grid import Block
+from sweeps.plan.grid import Block, shape_of
 
 Reduce = Callable[[np.ndarray, np.ndarray], np.ndarray]  # np.minimum or np.maximum
 
@@ -117,42 +117,33 @@ class Boxes:
             found[self._halved(split)] = level + 1
         return found
 
-    def resolution(self, block: Block) -> np.ndarray:
-        """The finest level of the boxes that each cell of a block lies in, or on."""
-        inside = [
-            slice(max(part.start - 1, 0), part.stop) if axis in self.refined else part
-            for axis, part in enumerate(block)
-        ]
-        found = self.leaves[tuple(inside)]
-        for axis in self.refined:
-            part, last = block[axis], self.shape[axis] - 1
-            before, after = int(part.start == 0), int(part.stop > last)
-            width = [(before, after) if i == axis else (0, 0) for i in range(found.ndim)]
-            padded = np.pad(found, width)
-            found = np.maximum(*(np.take(padded, r, axis) for r in _pairs(padded.shape[axis])))
-        return found
+    def around(self, block: Block) -> tuple[np.ndarray, np.ndarray]:
+        """Of each cell of a block: the level of its box, and the number of the nearest corner.
 
-    def nearest(self, block: Block) -> np.ndarray:
-        """The number of the corner next to each cell of a block, of the box that the cell is in.
-
-        Of two that are as near, the one with the smaller index; a cell between boxes is in the one
-        with the larger indices.
+        A cell between boxes is in the finest of them, or in the one with the larger indices; of two
+        corners that are as near it gets the one with the smaller index.
         """
         along = [np.arange(part.start, part.stop) for part in block]
-        inside = [
-            np.minimum(index, self.shape[axis] - 2) if axis in self.refined else index
-            for axis, index in enumerate(along)
-        ]
-        shift = self.levels - self.leaves[np.ix_(*inside)].astype(np.int64)
-        corners = []
-        for axis, (index, box) in enumerate(zip(along, inside, strict=True)):
-            across = [-1 if i == axis else 1 for i in range(len(along))]
-            place = np.broadcast_to(index.reshape(across), shift.shape)
+        shape = shape_of(block)
+        level = np.full(shape, -1)
+        back = {axis: np.zeros(shape, np.int64) for axis in self.refined}
+        for steps in itertools.product((0, 1), repeat=len(self.refined)):
+            inside = list(along)
+            for step, axis in zip(steps, self.refined, strict=True):
+                inside[axis] = np.clip(along[axis] - step, 0, self.shape[axis] - 2)
+            found = self.leaves[np.ix_(*inside)]
+            finer = found > level
+            level = np.where(finer, found, level)
+            for step, axis in zip(steps, self.refined, strict=True):
+                back[axis][finer] = step
+        shift, corners = self.levels - level, []
+        for axis, place in enumerate(np.ix_(*along)):
+            corner = np.broadcast_to(place, shape)
             if axis in self.refined:
-                corner = box.reshape(across) >> shift << shift
-                place = corner + ((2 * (place - corner) > 1 << shift) << shift)
-            corners.append(place)
-        return np.ravel_multi_index(corners, self.shape)
+                box = np.clip(place - back[axis], 0, self.shape[axis] - 2) >> shift << shift
+                corner = box + ((2 * (place - box) > 1 << shift) << shift)
+            corners.append(corner)
+        return level, np.ravel_multi_index(corners, self.shape)
 
     def _pyramid(self, cells: np.ndarray, reduce: Reduce) -> Iterator[np.ndarray]:
         """The smallest (or largest) value in each box, faces included: finest boxes first.
@@ -205,11 +196,6 @@ class Boxes:
             for steps in itertools.product(range(3), repeat=len(self.refined))
         ]
         return corner[:, None] + np.array(offsets, np.int64)[None, :]
-
-
-def _pairs(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Each index but the last, and its successor."""
-    return np.arange(n - 1), np.arange(1, n)
 
 
 def within(proposal: Proposal, known: np.ndarray, budget: int) -> tuple[Proposal, np.ndarray]:

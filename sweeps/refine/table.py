@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sweeps.plan.grid import Grid, shape_of
+from sweeps.plan.grid import Grid
 from sweeps.refine.boxes import Boxes
 from sweeps.store.commit import Values, no_values, read_block
 from sweeps.store.format import DIVERGED, DIVERGED_NEAR, LEVEL, OK, OK_NEAR
@@ -66,12 +66,12 @@ class Table:
 
     def done(self, block: int, boxes: Boxes) -> Values:
         """The variables of a block in which each cell has a value, its own or the nearest."""
-        place = self.grid.block(block)
-        cells, nearest = self.grid.cells_in(block), boxes.nearest(place).ravel()
+        level, nearest = boxes.around(self.grid.block(block))
+        cells = self.grid.cells_in(block)
         own = self.row[cells] != NONE
-        source = np.where(own, cells, nearest)
+        source = np.where(own, cells, nearest.ravel())
         values = {name: self.values(name, source) for name in self.columns}
         near = np.where(values["status"] == OK, OK_NEAR, DIVERGED_NEAR)
         values["status"] = np.where(own, values["status"], near).astype(np.uint8)
-        values[LEVEL] = boxes.resolution(place).reshape(np.prod(shape_of(place)))
+        values[LEVEL] = level.ravel()
         return values

@@ -71,9 +71,8 @@ def reduction(sweep: Sweep) -> Iterator[str]:
         listed = getattr(reduce, key) or []
         for name in [listed] if isinstance(listed, str) else listed:
             if name not in metrics:
-                yield f"`reduce.{key}` must name metrics of the sweep, but has `{name}`" + (
-                    "; `metrics` lacks it" if name in STORED else hint(name, metrics)
-                )
+                wanted = "must name metrics of the sweep"
+                yield f"`reduce.{key}` {wanted}, but has `{name}`{_no_metric(name, metrics)}"
         if isinstance(listed, list) and len(set(listed)) < len(listed):
             yield f"`reduce.{key}` must be different from each other, but is {listed}."
     for name, parts in reduce.quantiles.items():
@@ -155,7 +154,7 @@ def refinement(sweep: Sweep) -> Iterator[str]:
             yield f"`refine.axes` must name ranges such as {example}, but `{name}` is a list."
     if len(set(axes)) < len(axes):
         yield f"`refine.axes` must be different from each other, but is {axes}."
-    if not sweep.refined:
+    if not (sweep.refined or sweep.sample):
         yield "`refine` must have an axis that is a range, but there is none."
     yield from _differences(sweep, refine)
     yield from _refined_sizes(sweep, refine)
@@ -164,29 +163,32 @@ def refinement(sweep: Sweep) -> Iterator[str]:
 def _differences(sweep: Sweep, refine: Refinement) -> Iterator[str]:
     """What may differ in a box: conditions and metrics."""
     metrics = list(sweep.metrics)
-    lacks = {name: "; `metrics` lacks it" for name in STORED if name not in metrics}
     if not (refine.classes or refine.absolute or refine.relative):
         yield "`refine` must name classes or a metric (absolute, relative), but has neither."
+    default = "" if "classes" in refine.model_fields_set else " (the default)"
     for text in refine.classes:
         try:
             used = names(text)
-        except ConditionError as wanted:
-            yield f"`refine.classes` must be {wanted}, but has {excerpt(text)}."
+        except ConditionError as error:
+            yield f"`refine.classes` must be {error}, but has {excerpt(text)}."
             continue
         for name in (n for n in used if n not in metrics):
-            yield (
-                f"`refine.classes` must have names of metrics alone, but has `{name}`"
-                + lacks.get(name, hint(name, metrics))
-            )
+            wanted = "must have names of metrics alone"
+            has = f"has `{name}`{default}{_no_metric(name, metrics)}"
+            yield f"`refine.classes` {wanted}, but {has}"
         if not used:
             yield f"`refine.classes` must name a metric, but has {excerpt(text)}."
     for key, table in (("absolute", refine.absolute), ("relative", refine.relative)):
         for name in (n for n in table if n not in metrics):
-            yield f"`refine.{key}` must name metrics of the sweep, but has `{name}`" + lacks.get(
-                name, hint(name, metrics)
-            )
-    for name in refine.absolute.keys() & refine.relative.keys():
-        yield f"`refine` must have one tolerance of `{name}`, but has an absolute and a relative one."
+            wanted = "must name metrics of the sweep"
+            yield f"`refine.{key}` {wanted}, but has `{name}`{_no_metric(name, metrics)}"
+    for name in sorted(refine.absolute.keys() & refine.relative.keys()):
+        yield f"`refine` must have one tolerance of `{name}`, but has two: absolute and relative."
+
+
+def _no_metric(name: str, metrics: list[str]) -> str:
+    """Why a name is no metric of the sweep."""
+    return "; `metrics` lacks it" if name in STORED else hint(name, metrics)
 
 
 def _refined_sizes(sweep: Sweep, refine: Refinement) -> Iterator[str]:
@@ -194,22 +196,16 @@ def _refined_sizes(sweep: Sweep, refine: Refinement) -> Iterator[str]:
     coarse = math.prod(sweep.model_copy(update={"refine": None}).dims.values())
     cells = math.prod(sweep.dims.values())
     if cells > MAX_REFINED or max(sweep.dims.values(), default=0) > MAX_AXIS:
-        yield (
-            f"`refine.levels` must make at most {MAX_REFINED:,} cells, and {MAX_AXIS:,} along an "
-            f"axis, but {refine.levels} make {excerpt(cells)}."
-        )
+        limit = f"at most {MAX_REFINED:,} cells, and {MAX_AXIS:,} along an axis"
+        made = f"{refine.levels} of them make {excerpt(cells)}"
+        yield f"`refine.levels` must make {limit}, but {made}."
         return
     if refine.budget is not None and refine.budget < coarse:
-        yield (
-            f"`refine.budget` must be at least {coarse:,}, the scenarios of the coarse grid, but "
-            f"is {refine.budget:,}."
-        )
+        wanted = f"at least {coarse:,}, the scenarios of the coarse grid"
+        yield f"`refine.budget` must be {wanted}, but is {refine.budget:,}."
     if min(refine.budget or cells, cells) > MAX_RUNS:
-        yield f"`refine.budget` must be at most {MAX_RUNS:,}, but " + (
-            f"is {refine.budget:,}."
-            if refine.budget
-            else f"is missing, and there are {cells:,} cells."
-        )
+        given = f"is {refine.budget:,}" if refine.budget else f"none is given for {cells:,} cells"
+        yield f"`refine.budget` must be at most {MAX_RUNS:,}, but {given}."
 
 
 def known_names(sweep: Sweep) -> Sweep:
