@@ -10,6 +10,7 @@ import numpy as np
 
 from sweeps.plan.grid import Block, shape_of
 
+PIECE = 100_000  # boxes at once: their cells take 65 MB in four dimensions
 Reduce = Callable[[np.ndarray, np.ndarray], np.ndarray]  # np.minimum or np.maximum
 
 
@@ -32,7 +33,6 @@ class Proposal:
 
     levels: np.ndarray  # [boxes]
     boxes: np.ndarray  # [boxes], number among the boxes of the level
-    cells: np.ndarray  # [boxes, 3^d], numbers of the cells that are needed
 
     def __len__(self) -> int:
         return len(self.boxes)
@@ -99,9 +99,34 @@ class Boxes:
             exists = self._halved(self.split[level])
         number, level_of = np.concatenate(boxes), np.concatenate(levels)
         order = np.lexsort((number, -np.concatenate(differences), level_of))
-        number, level_of = number[order], level_of[order]
-        needed = [self._needed(level, number[level_of == level]) for level in range(self.levels)]
-        return Proposal(level_of, number, np.concatenate(needed))
+        return Proposal(level_of[order], number[order])
+
+    def within(
+        self, proposal: Proposal, known: np.ndarray, budget: int
+    ) -> tuple[Proposal, np.ndarray]:
+        """The first boxes of a proposal that need at most `budget` new cells, and these cells."""
+        taken, found, claimed = 0, [], known.copy()
+        for level, boxes in self._pieces(proposal):
+            needed = self._needed(level, boxes)
+            new = np.flatnonzero(~claimed[needed.ravel()])
+            cells, first = np.unique(needed.ravel()[new], return_index=True)
+            box_of = new[first] // needed.shape[1]  # the first box that needs the cell
+            spent = np.cumsum(np.bincount(box_of, minlength=len(boxes)))
+            n = int(np.searchsorted(spent, budget, "right"))
+            found.append(cells[box_of < n])
+            claimed[found[-1]] = True
+            taken, budget = taken + n, budget - len(found[-1])
+            if n < len(boxes):
+                break
+        part = Proposal(proposal.levels[:taken], proposal.boxes[:taken])
+        return part, np.sort(np.concatenate([*found, np.zeros(0, np.int64)]))
+
+    def _pieces(self, proposal: Proposal) -> Iterator[tuple[int, np.ndarray]]:
+        """Boxes of one level, at most PIECE at a time."""
+        for level in range(self.levels):
+            boxes = proposal.boxes[proposal.levels == level]
+            for start in range(0, len(boxes), PIECE):
+                yield level, boxes[start : start + PIECE]
 
     def halve(self, proposal: Proposal) -> None:
         """Halve boxes."""
@@ -196,15 +221,3 @@ class Boxes:
             for steps in itertools.product(range(3), repeat=len(self.refined))
         ]
         return corner[:, None] + np.array(offsets, np.int64)[None, :]
-
-
-def within(proposal: Proposal, known: np.ndarray, budget: int) -> tuple[Proposal, np.ndarray]:
-    """The first boxes of a proposal that need at most `budget` new cells, and these cells."""
-    needed = proposal.cells.ravel()
-    new = np.flatnonzero(~known[needed])
-    cells, first = np.unique(needed[new], return_index=True)
-    box_of = new[first] // proposal.cells.shape[1]  # the first box that needs it
-    spent = np.cumsum(np.bincount(box_of, minlength=len(proposal)))
-    n = int(np.searchsorted(spent, budget, "right"))
-    part = Proposal(proposal.levels[:n], proposal.boxes[:n], proposal.cells[:n])
-    return part, cells[box_of < n]

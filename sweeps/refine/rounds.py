@@ -8,7 +8,7 @@ import numpy as np
 
 from fic_jax import TRUST
 from sweeps.plan.grid import Grid
-from sweeps.refine.boxes import Boxes, Measure, within
+from sweeps.refine.boxes import Boxes, Measure
 from sweeps.refine.table import NONE, Table
 from sweeps.spec.condition import holds, names
 from sweeps.store.commit import Values, Writer
@@ -149,7 +149,7 @@ class _Run:
             if exhausted:
                 break
             proposal = self.boxes.propose(list(self.known.measures()))
-            part, cells = within(proposal, self.known.cells, self.budget - self.known.n)
+            part, cells = self.boxes.within(proposal, self.known.cells, self.budget - self.known.n)
             self.boxes.halve(part)
             exhausted = len(part) < len(proposal)
         yield from self._finish()

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sweeps.refine.boxes import Boxes, Measure, within
+from sweeps.refine.boxes import Boxes, Measure
 from sweeps.refine.rounds import _difference
 from tests.refine import plain
 
@@ -28,7 +28,7 @@ def grown(shape, refined, levels, values, budget=10**9, measure=None):
         low = np.where(known, values.ravel(), np.inf)
         high = np.where(known, values.ravel(), -np.inf)
         proposal = boxes.propose([Measure(low, high, measure or differs)])
-        part, cells = within(proposal, known, budget - int(known.sum()))
+        part, cells = boxes.within(proposal, known, budget - int(known.sum()))
         boxes.halve(part)
         exhausted = len(part) < len(proposal)
     return boxes, known.reshape(shape)
