@@ -15,6 +15,8 @@ LEAST = 3.0  # point; the lines of smaller boxes would cover their colours
 
 def lines(plane: Plane, room: float, height: float) -> Iterator[LineCollection]:
     """The outlines of the boxes of a plane that is `room` by `height` points large."""
+    if not plane.levels:
+        return
     x, y = (axis.values.astype(float) for axis in (plane.x, plane.y))
     for level in range(plane.levels):
         step = 1 << (plane.levels - level)
