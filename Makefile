@@ -19,7 +19,7 @@ run = for name in $(1); do \
 # every branch of what a sweep's numbers hang on; of the rest all but a few
 WHOLE := $(addprefix store/,fsync lock ledger opening commit) plan/grid
 NEARLY := $(addprefix store/,format create extend verify) runner plan/random_design
-STORE_TESTS := tests/store tests/test_runner.py tests/spec tests/plan
+STORE_TESTS := tests/store tests/refine tests/test_runner.py tests/spec tests/plan
 modules = $(subst $() ,$(comma),$(patsubst %,sweeps/%.py,$(1)))
 comma := ,
 

@@ -101,12 +101,19 @@ class Grid:
         """The most cells a block may have."""
         if self.chunk:
             return self.chunk
-        scenarios = min(max(BLOCK_STEPS // self.work, SMALLEST_BLOCK), LARGEST_BLOCK)
+        scenarios = self.second_or_two
+        if self.sweep.refine:  # few of its cells are simulated
+            scenarios = LARGEST_BLOCK
         if self.sweep.reduce:
             enough = min(self.full.cells // FEW_BLOCKS, LARGEST_BLOCK)
             scenarios = max(scenarios, enough)
         cells = max(scenarios // self.combinations, 1)
         return max(cells, 4 * self.cells // MAX_BLOCKS)  # halving may make blocks 4 times smaller
+
+    @property
+    def second_or_two(self) -> int:
+        """The scenarios that take so long to simulate."""
+        return min(max(BLOCK_STEPS // self.work, SMALLEST_BLOCK), LARGEST_BLOCK)
 
     @property
     def work(self) -> int:
@@ -195,15 +202,16 @@ class Grid:
         return np.ravel_multi_index(along, self.shape).ravel()
 
     def batches(self, cells: np.ndarray) -> Iterator[np.ndarray]:
-        """Cells anywhere in the grid, by number, in parts of one model, each at most a block."""
+        """Cells anywhere in the grid, by number, in parts of one model and a second or two."""
+        most = min(self.block_cells, self.second_or_two)
         index = np.unravel_index(cells, self.shape)
         models = [i for dim, i in zip(self.dims, index, strict=True) if dim in self.sweep.model]
         lengths = [n for dim, n in self.dims.items() if dim in self.sweep.model]
         number = np.ravel_multi_index(models, lengths) if models else np.zeros(len(cells), int)
         for one in np.unique(number):
             same = cells[number == one]
-            for start in range(0, len(same), self.block_cells):
-                yield same[start : start + self.block_cells]
+            for start in range(0, len(same), most):
+                yield same[start : start + most]
 
     def scenarios(self, cells: np.ndarray, dtype: str = "float64") -> tuple[Params, Model]:
         """The scenarios of cells anywhere in the grid, and the model that all of them share.
