@@ -190,11 +190,12 @@ def _run_rounds(store: Store, on_progress: OnProgress) -> Progress:
 
     progress = Progress(grid.most_runs, 0, refined=True)
     with writing(store) as (writer, _):
-        if not Counts.of(store).pending:
-            done = Counts.of(store).done
-            return replace(progress, cells=done, done=done)
+        counts = Counts.of(store)
+        if not counts.pending:  # a kill may have come before the last lines of `rounds`
+            progress = replace(progress, done=counts.done)
+            store.journal.clear()
         with closing(rounds(writer, simulate)) as steps:
-            for step in steps:
+            for step in steps if counts.pending else ():
                 progress = replace(
                     progress,
                     done=step.simulated,

@@ -201,6 +201,11 @@ class Grid:
         along = np.ix_(*(np.arange(part.start, part.stop) for part in self.block(index)))
         return np.ravel_multi_index(along, self.shape).ravel()
 
+    def block_of(self, cells: np.ndarray) -> np.ndarray:
+        """The number of the block of each cell."""
+        sides = zip(np.unravel_index(cells, self.shape), self.block_shape, strict=True)
+        return np.ravel_multi_index([index // side for index, side in sides], self.counts)
+
     def batches(self, cells: np.ndarray) -> Iterator[np.ndarray]:
         """Cells anywhere in the grid, by number, in parts of one model and a second or two."""
         most = min(self.block_cells, self.second_or_two)

@@ -11,7 +11,7 @@ levels at once. Known are the corners of a box, and what finer neighbours have o
 a border which leaves the fine boxes is followed.
 
 The next round depends on the values of the last ones alone. So an interrupted run needs no record
-of its rounds: `resume` goes through them again, and simulates the cells that the store lacks. At
-the end, each cell that was not simulated gets the values of a corner of its box, and its block is
-done.
+of its rounds: what it has simulated is in the store's journal, and `resume` goes through the rounds
+again and simulates the cells that are missing. At the end, each cell that was not simulated gets
+the values of a corner of its box, all blocks are written, and the journal is deleted.
 """

@@ -11,9 +11,9 @@ from sweeps.plan.grid import Grid
 from sweeps.refine.boxes import Boxes, Measure
 from sweeps.refine.table import NONE, Table
 from sweeps.spec.condition import holds, names
-from sweeps.store.commit import Values, Writer
+from sweeps.store.commit import Values, Writer, no_values
 from sweeps.store.format import DIVERGED, FAILED
-from sweeps.store.ledger import DONE, PARTLY, SET_ASIDE, Row
+from sweeps.store.ledger import DONE, SET_ASIDE, Row
 
 Simulate = Callable[[np.ndarray], Values]  # cells of one model, at most a block of them
 
@@ -128,7 +128,7 @@ class _Run:
         dims = list(grid.dims)
         axes = tuple(sorted(dims.index(name) for name in grid.sweep.refined))
         self.boxes = Boxes(grid.shape, axes, refine.levels)
-        self.table = Table(grid)
+        self.table, self.journal = Table(grid), writer.store.journal
         self.table.read(writer.store)
         self.done = {row.block for row in writer.store.rows() if row.outcome == DONE}
         self.known = _Known(grid, self.table, writer.store.dtype)
@@ -184,21 +184,20 @@ class _Run:
         return None
 
     def write(self) -> None:
-        """Write the blocks that have new cells. Raises OSError."""
+        """Write what was simulated since the last time into the journal. Raises OSError."""
         began = time.perf_counter()
         if self.unwritten:
-            for block in self.table.blocks(np.concatenate(self.unwritten)):
-                if block not in self.done:
-                    self.writer.commit(self.table.begun(block), Row(block, PARTLY))
+            cells = np.concatenate(self.unwritten)
+            self.journal.append(cells, {n: self.table.values(n, cells) for n in self.table.columns})
         self.unwritten, self.seconds = [], 0.0
         self.write_took = time.perf_counter() - began
 
     def _set_aside(self, batch: np.ndarray) -> Step:
-        """Write all that is known, and that some cells failed."""
+        """Set the blocks of cells aside, which failed."""
         self.write()
         rows = []
-        for block in self.table.blocks(batch):
-            values = self.table.begun(block)
+        for block in np.unique(self.grid.block_of(batch)).tolist():
+            values = no_values(self.grid, block)
             values["status"][np.isin(self.grid.cells_in(block), batch)] = FAILED
             row = Row(block, SET_ASIDE, attempt=ATTEMPTS, error=self.error)
             rows.append(self.writer.commit(values, row))
@@ -206,7 +205,8 @@ class _Run:
 
     def _finish(self) -> Generator[Step]:
         """Give each cell a value, and write all blocks."""
+        self.write()
         for block in (i for i in range(self.grid.n_blocks) if i not in self.done):
             self.writer.commit(self.table.done(block, self.boxes), Row(block, DONE))
-            self.done.add(block)
             yield self._step()
+        self.journal.clear()

@@ -1,14 +1,14 @@
 """The values of the cells that were simulated, wherever they are in the grid."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from sweeps.plan.grid import Grid
 from sweeps.refine.boxes import Boxes
-from sweeps.store.commit import Values, no_values, read_block
+from sweeps.store.commit import Values, read_block
 from sweeps.store.format import DIVERGED, DIVERGED_NEAR, LEVEL, OK, OK_NEAR
+from sweeps.store.ledger import DONE
 from sweeps.store.opening import Store
 
 NONE = -1  # the row of a cell that was not simulated
@@ -41,28 +41,19 @@ class Table:
         return pieces[0][self.row[cells]]
 
     def read(self, store: Store) -> None:
-        """Add what a store has."""
+        """Add what a store has: in its journal, and in the blocks that are done."""
+        for cells, values in store.journal.read():
+            self._add_new(cells, values)
         for known in store.rows():
-            values = read_block(store, known)
-            if values is not None:
-                there = np.isin(values["status"], (OK, DIVERGED))
+            block = read_block(store, known) if known.outcome == DONE else None
+            if block is not None:
+                there = np.isin(block["status"], (OK, DIVERGED))
                 cells = self.grid.cells_in(known.block)[there]
-                self.add(cells, {k: v[there] for k, v in values.items() if k != LEVEL})
+                self._add_new(cells, {k: v[there] for k, v in block.items() if k != LEVEL})
 
-    def blocks(self, cells: np.ndarray) -> Iterator[int]:
-        """The blocks that have one of some cells."""
-        index = np.unravel_index(cells, self.grid.shape)
-        sides = zip(index, self.grid.block_shape, strict=True)
-        numbers = np.ravel_multi_index([i // side for i, side in sides], self.grid.counts)
-        return iter(np.unique(numbers).tolist())
-
-    def begun(self, block: int) -> Values:
-        """The variables of a block, with what is known of it so far."""
-        cells, values = self.grid.cells_in(block), no_values(self.grid, block)
-        there = self.row[cells] != NONE
-        for name in self.columns:
-            values[name][there] = self.values(name, cells[there])
-        return values
+    def _add_new(self, cells: np.ndarray, values: Values) -> None:
+        new = self.row[cells] == NONE
+        self.add(cells[new], {name: column[new] for name, column in values.items()})
 
     def done(self, block: int, boxes: Boxes) -> Values:
         """The variables of a block in which each cell has a value, its own or the nearest."""

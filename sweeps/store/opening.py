@@ -20,7 +20,17 @@ from sweeps.spec.overrides import override
 from sweeps.spec.reading import validate
 from sweeps.spec.types import Sweep
 from sweeps.store import format as store_format
-from sweeps.store.format import DEFINITION, DEFINITIONS, FORMAT, NOT_RUN, OK, STATUS, TRUSTED
+from sweeps.store.format import (
+    DEFINITION,
+    DEFINITIONS,
+    DIVERGED,
+    FORMAT,
+    NOT_RUN,
+    OK,
+    STATUS,
+    TRUSTED,
+)
+from sweeps.store.journal import Journal
 from sweeps.store.ledger import (
     DONE,
     LEDGER,
@@ -73,6 +83,11 @@ class Store:
     def variables(self) -> list[str]:
         """The variables, in the order they are written."""
         return store_format.variable_names(self.grid.sweep, self.form)
+
+    @property
+    def journal(self) -> Journal:
+        """What a refined run has simulated, until its blocks are written."""
+        return Journal(self.path, str(self.group.attrs["sweep_sha256"]))
 
     def array(self, name: str) -> zarr.Array[Any]:
         """A variable or a coordinate on the disk."""
@@ -220,18 +235,25 @@ class Counts:
         rows = store.rows()
         cells = {name: sum(getattr(row, name) for row in rows) for name in list(STATUS)[OK:]}
         done = {row.block for row in rows if row.outcome == DONE}
-        left = store.grid.own_cells - sum(cells.values())
+        trusted = {
+            metric: sum(_trusted(row, metric) for row in rows)
+            for metric in store_format.judgements(store.grid.sweep, store.form).values()
+        }
         if store.grid.sweep.refine:  # a finished block has no other cells than these
             near = sum(cells_of(store.grid.block(block)) for block in done)
-            near -= sum(row.ok + row.diverged for row in rows if row.block in done)
-            cells, left = cells | {"nearby": near}, left - near
-        cells = {"not run": left} | cells
+            cells["nearby"] = near - cells["ok"] - cells["diverged"]
+            for numbers, values in store.journal.read():
+                elsewhere = ~np.isin(store.grid.block_of(numbers), list(done))
+                status = values["status"][elsewhere]
+                cells["ok"] += int(np.sum(status == OK))
+                cells["diverged"] += int(np.sum(status == DIVERGED))
+                for metric in trusted:
+                    flag = values[f"{metric}_trusted"][elsewhere]
+                    trusted[metric] += int(np.sum((flag == TRUSTED) & (status == OK)))
+        cells = {"not run": store.grid.own_cells - sum(cells.values())} | cells
         return cls(
             cells,
-            trusted={
-                metric: sum(_trusted(row, metric) for row in rows)
-                for metric in store_format.judgements(store.grid.sweep, store.form).values()
-            },
+            trusted,
             pending=[i for i in store.grid.own if i not in done],
             set_aside=[row for row in rows if row.outcome == SET_ASIDE],
             unfinished={row.block: row for row in rows if row.outcome != DONE},

@@ -1,6 +1,7 @@
 """Refined stores: the plain grid's bits and border, however the run was interrupted."""
 
 import itertools
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,11 +20,12 @@ from sweeps.spec.mistakes import SweepError
 from sweeps.spec.reading import parse
 from sweeps.store.extend import extend
 from sweeps.store.format import DIVERGED, FAILED, NEAR, NOT_RUN, OK
-from sweeps.store.ledger import DONE, PARTLY, SET_ASIDE
+from sweeps.store.journal import Journal
+from sweeps.store.ledger import DONE, SET_ASIDE
 from sweeps.store.opening import Counts, dataset, open_store
 from sweeps.store.verify import verify
 from tests.refine.test_boxes import edge
-from tests.store.stores import contents, repaired
+from tests.store.stores import contents, flip, repaired
 from tests.test_runner import bits, complete, quiet
 
 TEXT = """
@@ -256,7 +258,7 @@ def test_a_stop_keeps_all_that_was_simulated(tmp_path, quick):
         runner.run(runner.start(path, QUICK, 60, 32), stop)
     assert WAIT > 1  # nothing was written before the stop
     assert Counts.of(open_store(path)).done == seen[-1].done >= 40
-    assert {row.outcome for row in open_store(path).rows()} == {PARTLY}
+    assert not open_store(path).rows() and not verify(path).problems
     again = runner.run(open_store(path), quiet)
     assert again.ran == again.done - seen[-1].done
     assert again.cells == again.done == Counts.of(open_store(path)).done
@@ -318,10 +320,64 @@ def test_cells_that_fail_are_set_aside_and_the_rest_stays(tmp_path, quick, monke
     assert {row.block for row in counts.set_aside} == {row.block for row in result.set_aside}
     assert {row.outcome for row in counts.set_aside} == {SET_ASIDE}
     status, _ = words(path)
-    assert {NOT_RUN, OK, FAILED} <= set(np.unique(status))
+    assert set(np.unique(status)) == {NOT_RUN, FAILED}  # the others wait in the journal
     assert "end" not in store.group.attrs
     runner.run(store, quiet)
     assert contents(path) == contents(quick)
+
+
+def test_a_damaged_journal_is_named_and_its_cells_are_simulated_again(
+    tmp_path, quick, each_batch, monkeypatch
+):
+    path = tmp_path / "a.zarr"
+    with monkeypatch.context() as patch:
+        killed_at(patch, 5)
+        with pytest.raises(Killed):
+            runner.run(runner.start(path, QUICK, 60, 32), quiet)
+    store = open_store(path)
+    files = store.journal.files()
+    assert [file.name for file in files] == [f"simulated.{i}" for i in range(1, 5)]
+    before = Counts.of(store).done
+    flip(files[1], 5000)
+    files[2].write_bytes(b"")
+    shutil.copy(files[0], path / "simulated.7")  # the same cells twice
+    (problem, other) = verify(path).problems
+    assert (problem.what, other.what) == ("simulated.2", "simulated.3")
+    assert "a run simulates its cells again" in problem.how
+    assert 0 < Counts.of(store).done < before + 25
+    runner.run(open_store(path), quiet)
+    assert contents(path) == contents(quick)
+
+
+def test_a_journal_of_another_sweep_is_not_read(tmp_path, each_batch, monkeypatch):
+    names = ("a.zarr", "b.zarr")
+    for name, plan in zip(names, (QUICK, QUICK.model_copy(update={"name": "other"})), strict=True):
+        with monkeypatch.context() as patch:
+            killed_at(patch, 2)
+            with pytest.raises(Killed):
+                runner.run(runner.start(tmp_path / name, plan, 60, 32), quiet)
+    shutil.copy(tmp_path / "a.zarr/simulated.1", tmp_path / "b.zarr/simulated.1")
+    assert not list(open_store(tmp_path / "b.zarr").journal.read())
+    assert len(open_store(tmp_path / "b.zarr").journal.damaged()) == 1
+
+
+def test_a_kill_before_the_last_lines_of_a_run(tmp_path, quick, each_batch, monkeypatch):
+    """All blocks are done, but the journal is there, and the time of the end is missing."""
+    path = tmp_path / "a.zarr"
+    with monkeypatch.context() as patch:
+
+        def killed(_):
+            raise Killed
+
+        patch.setattr(Journal, "clear", killed)
+        with pytest.raises(Killed):
+            runner.run(runner.start(path, QUICK, 60, 32), quiet)
+    store = open_store(path)
+    assert store.journal.files() and not Counts.of(store).pending and not verify(path).problems
+    assert "end" not in store.group.attrs
+    assert runner.run(store, quiet).ran == 0
+    assert contents(path) == contents(quick)
+    assert "end" in open_store(path).group.attrs
 
 
 # --- sizes ---------------------------------------------------------------------------------------
