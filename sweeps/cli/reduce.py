@@ -1,6 +1,8 @@
 """`reduce`: the statistics of a store over some of its dimensions, as a store."""
 
+import re
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -78,7 +80,8 @@ def reduce(
     if untrusted is None:
         _refuse_unfinished(store)
     given = {key: value for key, value in table.items() if value not in (None, [], {})}
-    sweep = reduced_sweep(store, given)
+    with _options_named():
+        sweep = reduced_sweep(store, given)
     target = out or path.with_name(f"{path.stem}-reduced.zarr")
     with unreadable_refused(path), system_errors_reported(target):
         try:
@@ -86,6 +89,22 @@ def reduce(
         except KeyboardInterrupt:
             _interrupted(target)
     _say(store, new)
+
+
+@contextmanager
+def _options_named() -> Iterator[None]:
+    """Name the options that the user typed in a mistake of the table that they make."""
+    from sweeps.spec.mistakes import SweepError
+
+    def option(key: re.Match[str]) -> str:
+        name = {"quantiles": "quantile"}.get(key[1], key[1])
+        return f"`--{name} {key[2]}`" if key[2] else f"`--{name}`"
+
+    try:
+        yield
+    except SweepError as error:
+        text = re.sub(r"`reduce\.(\w+)(?:\.([^`]*))?`", option, str(error))
+        raise SweepError(text.replace("quantiles, share", "quantile, share")) from None
 
 
 def _refuse_unfinished(store: "Store") -> None:

@@ -82,6 +82,7 @@ def test_a_dry_run_names_both_sizes(small):
         ('["Td"]', '["K0", "Kenv", "Td"]', "`reduce` must leave a dimension of the sweep"),
         ('["Td"]', '["Td", "Td"]', "`reduce.over` must be different from each other"),
         ('["nmse"]', '["nmze"]', "`reduce.max` must name metrics of the sweep, but has `nmze`;"),
+        ("nmse < 1", "nmse ^ 2 < 1", "must be written with a product, as `nmse * nmse`, not with"),
         ("nmse < 1", "nmse <", "`reduce.share.easy` must be a condition, as"),
         ("nmse < 1", "nmze < 1", "alone, but has `nmze`; did you mean `nmse`"),
         ("nmse < 1", "Td < 1", "`reduce.share.easy` must name a metric, but is"),
@@ -111,23 +112,34 @@ def test_a_mistake_in_the_table_is_one_line(small, old, new, message):
     ended = typed("run", "small.toml")
     assert (ended.code, ended.stdout) == (2, "")
     assert message in ended.stderr
-    assert all(line.startswith("fic-sweep: small.toml: ") for line in ended.stderr.splitlines())
+    assert ended.stderr.startswith("fic-sweep: small.toml: ")
+    # each key of the table without its head is a mistake
+    assert len(ended.stderr.splitlines()) == (3 if new == "over" else 1)
     assert not list(small.glob("*.zarr"))
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--over", "Tb", "--max", "nmse"), "all.zarr: `reduce.over` must name dimensions, but"),
+        (("--over", "Tb", "--max", "nmse"), "all.zarr: `--over` must name dimensions, but has"),
         (("--over", "Td"), "all.zarr: `reduce` must name a statistic (max, min, mean, std,"),
         (("--over", "Td", "--share", "nmse < 1"), "--share nmse < 1: must be NAME:CONDITION, as"),
         (
             ("--over", "Td", "--share", "x: nmse <"),
-            "all.zarr: `reduce.share.x` must be a",
+            "all.zarr: `--share x` must be a condition, as",
         ),
         (("--over", "Td", "--quantile", "nmse"), "--quantile nmse: must be METRIC=PART,..., as in"),
         (("--over", "Td", "--max", "nmse", "--out", "small.zarr"), "small.zarr: exists already;"),
-        (("--over", "Td", "--best", "K0", "--by", "nmze"), "`reduce.by` must name metrics of the"),
+        (("--over", "Td", "--best", "K0", "--by", "nmze"), "`--by` must name metrics of the"),
+        (("--over", "Td", "--best", "K0"), "`--by` must be given with `--best`, but is missing"),
+        (("--over", "Td", "--by", "nmse"), "`--best` must be given with `--by`, but is missing"),
+        (("--over", "Td", "--max", "nmze"), "`--max` must name metrics of the sweep, but has"),
+        (("--over", "Td", "--quantile", "nmse=2"), "value 1 of `--quantile nmse` must be less"),
+        (("--over", "Td", "--quantile", "nmse=0.5,0.5"), "`--quantile nmse` must be parts that"),
+        (("--over", "Td", "--share", "x: nmze < 1"), "`--share x` must have names of metrics"),
+        (("--over", "Td", "--share", "x: nmse = 1"), "`--share x` must be written with `==`, not"),
+        (("--over", "Td", "--share", "x: K0 < 1"), "`--share x` must name a metric, but is"),
+        (("--over", "Td", "--share", "9: nmse < 1"), "`--share` must have names of a letter, then"),
     ],
 )
 def test_a_wrong_request_is_one_line_and_writes_nothing(run, monkeypatch, options, message):
