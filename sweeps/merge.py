@@ -40,7 +40,7 @@ def merge(paths: Sequence[Path], out: Path | None = None, incomplete: bool = Fal
     parts = _parts(paths)
     shard, first = next(iter(parts.items()))
     path = out or shard.whole(first.path)
-    refuse_existing(path)
+    refuse_existing(path, first.grid.sweep)
     for part in parts.values():
         with unchanged(part.path):
             part.check_done()

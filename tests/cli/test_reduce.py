@@ -129,7 +129,10 @@ def test_a_mistake_in_the_table_is_one_line(small, old, new, message):
             "all.zarr: `--share x` must be a condition, as",
         ),
         (("--over", "Td", "--quantile", "nmse"), "--quantile nmse: must be METRIC=PART,..., as in"),
-        (("--over", "Td", "--max", "nmse", "--out", "small.zarr"), "small.zarr: exists already;"),
+        (
+            ("--over", "Td", "--max", "nmse", "--out", "small.zarr"),
+            "small.zarr: exists already, with another",
+        ),
         (("--over", "Td", "--best", "K0", "--by", "nmze"), "`--by` must name metrics of the"),
         (("--over", "Td", "--best", "K0"), "`--by` must be given with `--best`, but is missing"),
         (("--over", "Td", "--by", "nmse"), "`--best` must be given with `--by`, but is missing"),
@@ -149,6 +152,35 @@ def test_a_wrong_request_is_one_line_and_writes_nothing(run, monkeypatch, option
     assert (ended.code, ended.stdout) == (2, "")
     assert message in ended.stderr and len(ended.stderr.splitlines()) == 1
     assert set(run.iterdir()) == before
+
+
+def test_a_store_in_the_way_says_which_question_it_answers(run, monkeypatch, tmp_path):
+    monkeypatch.chdir(run)
+    out = str(tmp_path / "a.zarr")
+    options = (
+        "--over",
+        "Td",
+        "--max",
+        "nmse",
+        "--quantile",
+        "nmse=0.5",
+        "--share",
+        "easy: Td < nmse",
+    )
+    assert typed("reduce", "all.zarr", *options, "--out", out).code == 0
+    there = f"fic-sweep: {out}: exists already"
+    question = "over Td: max nmse; quantiles 0.5 of nmse; share of Td < nmse"
+    for command in (
+        ("reduce", "all.zarr", "--over", "Kenv", "--best", "K0", "--by", "nmse", "--out", out),
+        ("run", "all.toml", "--out", out),
+    ):
+        ended = typed(*command)
+        said = f"{there}, with another answer, {question}; --out names another\n"
+        assert (ended.code, ended.stderr) == (2, said)
+    ended = typed("reduce", "all.zarr", *options, "--out", out)  # the same question
+    assert ended.stderr == f"{there}; `fic-sweep resume {out}` continues it, --out names another\n"
+    ended = typed("run", "all.toml", "--set", "K0=[1,2]", "--out", "all.zarr")
+    assert "all.zarr: exists already, and has another sweep, small; --out names" in ended.stderr
 
 
 @pytest.mark.parametrize(
