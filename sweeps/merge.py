@@ -92,10 +92,7 @@ def _incomplete(parts: Parts, whole: Path) -> str:
     left = {shard.k: part for shard, part in parts.items() if Counts.of(part).pending}
     says = []
     if missing:
-        attributes = first.group.attrs
-        chunk, device = attributes["block_cells"], attributes["platform"]
-        options = ("--shard", f"{missing[0]}/{n}", "--chunk", chunk, "--device", device)
-        run = command("run", first.path, *options, "--out", whole)
+        run = first.run_shard(Shard(missing[0], n), whole)
         says.append(f"{_numbers(missing)} missing ({run} runs {missing[0]})")
     if left:
         k, part = next(iter(left.items()))

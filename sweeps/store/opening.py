@@ -106,8 +106,27 @@ class Store:
             )
 
     def run_again(self) -> str:
-        """The command that runs its sweep again, into another store."""
+        """The command that runs its sweep, or its shard, again, into another store."""
+        shard = self.grid.shard
+        if shard:
+            again = f"{shard.whole(self.path).stem}-again.zarr"
+            return self.run_shard(shard, Path(again))
         return command("run", self.path, "--out", Path(f"{self.path.stem}-again.zarr"))
+
+    def run_shard(self, shard: Shard, whole: Path) -> str:
+        """The command that runs a shard of its sweep, as a part that `merge` takes with this one.
+
+        `whole` is the store of all parts.
+        """
+        attributes = self.group.attrs
+        options = {
+            "--shard": shard,
+            "--chunk": attributes["block_cells"],
+            "--precision": self.dtype.removeprefix("float"),
+            "--device": attributes["platform"],
+            "--out": whole,
+        }
+        return command("run", self.path, *(word for pair in options.items() for word in pair))
 
     def sweep_again(self, overrides: Sequence[str] = ()) -> Sweep:
         """Its sweep for a new run, changed as by `--set`. Raises SweepError for a mistake."""

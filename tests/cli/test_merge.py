@@ -11,7 +11,7 @@ import xarray as xr
 from tests.cli.conftest import TINY
 from tests.cli.test_advice import advice, pasted
 from tests.command import typed
-from tests.store.stores import contents
+from tests.store.stores import change_attributes, contents
 
 RUN = ("run", "tiny.toml", "--chunk", "4")  # four blocks
 
@@ -99,6 +99,28 @@ def test_the_command_of_a_message_completes_the_parts(parts, missing):
     assert contents(Path("tiny.zarr")) == contents(Path("one run.zarr"))
 
 
+def test_a_part_of_another_program_says_how_to_run_its_shard_again(parts):
+    """In a job array each part gives the advice for itself, and all that is pasted merges."""
+    for k, part in enumerate(parts, 1):
+        change_attributes(part, jax="0.1")
+        ended = typed(*RUN, "--shard", f"{k}/2")
+        assert (ended.code, len(ended.stderr.splitlines())) == (2, 1)
+        (command,) = advice(ended)
+        assert f" --shard {k}/2 --chunk 4 --precision 32 --device cpu " in command
+        assert pasted(command) == 0
+    again = sorted(Path().glob("tiny-again.?-of-2.zarr"))
+    assert typed("merge", *again).code == 0
+    assert contents(Path("tiny-again.zarr")) == contents(Path("tiny.zarr"))
+
+
+def test_the_shard_of_a_part_has_the_chunk_of_the_part(parts):
+    ended = typed("run", "tiny.1-of-2.zarr", "--shard", "2/2", "--out", "new.zarr")
+    assert ended.stdout.startswith("new.2-of-2.zarr: 4 scenarios in ")
+    assert typed("merge", parts[0], "new.2-of-2.zarr", "--out", "all.zarr").code == 0
+    ended = typed("run", "tiny.1-of-2.zarr", "--set", "t_end=1.0", "--dry-run")
+    assert "\n1 block of up to 4 x 3\n" in ended.stdout  # another sweep has its own plan
+
+
 def test_a_merge_without_a_shard_says_what_does_the_rest(parts):
     ended = typed("merge", parts[0], "--incomplete", "--out", "most.zarr")
     rest = "2 blocks still to run: `fic-sweep resume most.zarr` does"
@@ -119,6 +141,7 @@ WRONG = [
         "tiny.1-of-2.zarr: was begun with another --chunk; --out names another",
     ),
     ([*RUN, "--set", "K0=[1,2,3,4]", "--shard", "1/2"], "begun with another sweep; --out"),
+    ([*RUN, "--shard", "1/2", "--precision", "64"], "was begun with another --precision; --out"),
     (["merge"], "Missing argument 'PART...'"),
     (["merge", "none.zarr"], "none.zarr: is no result store: there is nothing of this name"),
     (["merge", "tiny.*-of-9.zarr"], "tiny.*-of-9.zarr: is no result store"),

@@ -180,9 +180,9 @@ def test_a_merge_without_some_blocks_is_resumed(stores, quick, monkeypatch):
         part_of(path, "3/3")  # sets its block aside
         monkeypatch.undo()
         line = (
-            r"tiny.zarr: of 3 shards, 2 is missing \(`fic-sweep run .*tiny.1-of-3.zarr --shard 2/3 "
-            r"--chunk 2 --device cpu --out .*tiny.zarr` runs 2\), and 3 is unfinished "
-            r"\(`fic-sweep resume .*tiny.3-of-3.zarr` goes on with 3\); --incomplete merges what"
+            r"tiny.zarr: of 3 shards, 2 is missing \(`fic-sweep run .*tiny.1-of-3.zarr "
+            r"--shard 2/3 --chunk 2 --precision 32 --device cpu --out .*tiny.zarr` runs 2\), "
+            r"and 3 is unfinished \(`fic-sweep resume .*tiny.3-of-3.zarr` goes on with 3\); --incomplete merges what"
         )
         refused([parts[0], parts[2]], path, line)
         counts = Counts.of(merge([parts[2], parts[0]], incomplete=True))
@@ -382,7 +382,7 @@ def test_a_command_of_a_job_array_is_repeated(stores, quick):
             ({"plan": MANY}, "begun with another sweep; --out names another"),
             ({"chunk": 1}, "begun with another --chunk; "),
             ({"shard": Shard(2, 2)}, "begun with another --shard; "),
-            ({"precision": 64}, "begun by another program .dtype was float32, is float64"),
+            ({"precision": 64}, "begun with another --precision; "),
         ):
             arguments = {"plan": WHOLE, "chunk": 2, "precision": 32, "shard": Shard(1, 2)} | change
             with pytest.raises(SweepError, match=line):
