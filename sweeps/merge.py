@@ -178,7 +178,7 @@ def _record(first: Store, said: Sequence[Mapping[str, str]], done: bool) -> byte
     """The record of the merged store, from that of its first part."""
     record = json.loads((first.path / "zarr.json").read_bytes())
     attributes = record["attributes"]
-    del attributes["shard"]
+    del attributes["shard"], attributes["shard_rule"]
     attributes.pop("end", None)
     for key in SEVERAL:
         attributes[key] = ", ".join(dict.fromkeys(part[key] for part in said))

@@ -67,7 +67,7 @@ def run(
     dask: Dask = None,
     shard: Annotated[
         str | None,
-        typer.Option(metavar="K/N", help="every N-th block, into NAME.K-of-N.zarr, new or begun"),
+        typer.Option(metavar="K/N", help="one block of N, into NAME.K-of-N.zarr, new or begun"),
     ] = None,
 ) -> None:
     """Run a sweep into a new store."""

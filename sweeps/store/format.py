@@ -10,6 +10,7 @@ from zarr.codecs import BloscCodec, Crc32cCodec
 
 from fic_jax import METRICS, QUANTITIES, TRUST
 from sweeps.plan.grid import Grid
+from sweeps.plan.shard import RULE
 from sweeps.spec.types import STORED, Sweep
 from sweeps.store import reduced
 
@@ -168,7 +169,7 @@ def attributes(grid: Grid) -> dict[str, Any]:
         "metrics_definition": DEFINITION,
         "metrics_definition_meaning": DEFINITIONS[DEFINITION],
     }
-    record |= {"shard": str(grid.shard)} if grid.shard else {}
+    record |= {"shard": str(grid.shard), "shard_rule": RULE} if grid.shard else {}
     record |= {"reduced_over": json.dumps(_ranges(grid))} if sweep.reduce else {}
     return record | ({"error_estimate_meaning": ESTIMATE} if sweep.error_estimate else {})
 

@@ -14,7 +14,7 @@ import numpy as np
 import zarr
 
 from sweeps.plan.grid import Grid
-from sweeps.plan.shard import Shard
+from sweeps.plan.shard import RULE, Shard
 from sweeps.spec.mistakes import SweepError, command, printable
 from sweeps.spec.overrides import override
 from sweeps.spec.reading import validate
@@ -92,7 +92,7 @@ class Store:
             return list(self._rows_of_format_1())
         rows = self._read(self.ledger.rows)
         for row in rows:
-            if row.block not in self.grid.own or set(row.files) - set(self.variables):
+            if not self.grid.owns(row.block) or set(row.files) - set(self.variables):
                 raise self.damaged(f"{LEDGER} is damaged: it has a block {row.block}")
         return rows
 
@@ -305,6 +305,11 @@ def _read(path: Path) -> Store:
         raise ValueError(f"block_cells {chunk}, dtype {attributes['dtype']}")
     ledger = Ledger(path / LEDGER) if written > 1 else None
     shard = Shard.parse(str(attributes["shard"])) if "shard" in attributes else None
+    if shard and attributes.get("shard_rule") != RULE:
+        raise SweepError(
+            f"{path}: is shard {shard} of another version of fic-sweep, which divides the blocks "
+            "in another way; only that one can read it"
+        )
     store = Store(path, Grid(sweep, chunk, shard), group, ledger)
     for array in store_format.arrays(store.grid, store.dtype, store.form):
         if not _matches(store, array):
