@@ -12,6 +12,7 @@ import numpy as np
 
 from fic_jax import METRICS, QUANTITIES
 from sweeps.plan.grid import Grid
+from sweeps.plan.random_design import draw
 from sweeps.spec import condition
 from sweeps.spec.types import Reduction, Sweep
 
@@ -56,8 +57,10 @@ def place_names(sweep: Sweep, dim: str) -> list[str]:
     """What the store says of a place along a dimension that goes.
 
     The value of an axis or a choice; of a case its number and its columns; of a drawn scenario its
-    number.
+    number and its fields.
     """
+    if dim == "scenario" and sweep.sample:
+        return [dim, *sweep.sample.ranges]
     return [dim, *sweep.cases] if dim == "case" else [dim]
 
 
@@ -128,7 +131,11 @@ def place_values(grid: Grid, dim: str, index: np.ndarray) -> dict[str, np.ndarra
     known, at = index >= 0, np.maximum(index, 0)
     if dim in grid.sweep.model:
         return {dim: np.where(known, at + 1, 0)}
-    if dim == "scenario":  # its fields would have to be drawn, each by itself
-        return {dim: np.where(known, at, np.nan)}
-    along = grid.full.coordinates(dim)
+    if dim == "scenario" and grid.sweep.sample:  # a design of millions is not drawn for a few
+        numbers, at = np.unique(at, return_inverse=True)
+        drawn = [draw(grid.sweep.sample, i, i + 1) for i in numbers.tolist()]
+        along = {n: np.concatenate([one[n] for one in drawn]) for n in grid.sweep.sample.ranges}
+        along[dim] = numbers
+    else:
+        along = grid.full.coordinates(dim)
     return {n: np.where(known, along[n][at], np.nan) for n in place_names(grid.sweep, dim)}

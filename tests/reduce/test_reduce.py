@@ -349,6 +349,9 @@ def test_a_random_design_and_choices_are_reduced_by_name(tmp_path):
     at = data["nmse_max_scenario"].astype(int)
     law = data["best_law"].astype(int) - 1
     np.testing.assert_array_equal(cells["nmse"].isel(scenario=at, law=law), data["nmse_max"])
+    for name in ("Td", "K0"):
+        np.testing.assert_array_equal(data[f"nmse_max_{name}"], cells[name].values[at])
+        assert data[f"nmse_max_{name}"].dtype == np.float64
 
 
 # --- what was not run ----------------------------------------------------------------------------
