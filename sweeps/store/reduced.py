@@ -32,6 +32,7 @@ class Variable:
         default_factory=dict
     )  # word -> code, in uint8; 0 is the fill value
     status: str = ""  # the variable that says what became of it
+    place: str = ""  # the field or choice of which it has values
 
 
 def variables(sweep: Sweep, status: dict[str, int]) -> dict[str, Variable]:
@@ -70,7 +71,7 @@ def _variables(sweep: Sweep, reduce: Reduction, status: dict[str, int]) -> Itera
         worst = f"largest {_words(str(reduce.by))} {over}"
         over += f", at the best {reduce.best}"
         for name in place_names(sweep, reduce.best):
-            what = f"with the smallest {worst}"
+            what = f"whose {worst} is smallest"
             yield _place(sweep, f"best_{name}", name, what, f"{reduce.by}_status")
         units = METRICS[str(reduce.by)]["unit"]
         meaning = f"{worst}, at the best {reduce.best}"
@@ -120,10 +121,12 @@ def _place(sweep: Sweep, variable: str, name: str, what: str, status: str) -> Va
     """The value at a place: a number in double precision, so that `.sel` finds it, or a choice."""
     if name in sweep.model:
         flags = {choice: i for i, choice in enumerate([NONE, *sweep.model[name]])}
-        return Variable(variable, f"{name} {what}", dtype="uint8", flags=flags, status=status)
+        return Variable(
+            variable, f"{name} {what}", dtype="uint8", flags=flags, status=status, place=name
+        )
     quantity = QUANTITIES.get(name, {"unit": "1", "meaning": f"number of the {name}"})
     meaning = f"{quantity['meaning']} {what}"
-    return Variable(variable, meaning, quantity["unit"], "float64", status=status)
+    return Variable(variable, meaning, quantity["unit"], "float64", status=status, place=name)
 
 
 def place_values(grid: Grid, dim: str, index: np.ndarray) -> dict[str, np.ndarray]:

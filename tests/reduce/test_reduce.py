@@ -416,7 +416,7 @@ def test_a_picture_hatches_what_is_refused_and_says_what_varied(reduced):
         )
     assert plane.special
     assert "over 5 values of $D_{env}$ = 1 to 1000 N·m·s/rad" in plane.held
-    with pytest.raises(PlotError, match="There is no metric 'nmse_status'"):
+    with pytest.raises(PlotError, match="'nmse_status' is no metric: a picture"):
         planes.select(data, x="K0", y="Kenv", metric="nmse_status")
 
 
