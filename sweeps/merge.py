@@ -9,7 +9,7 @@ more space, where the file system has hard links: no program of ours changes a f
 import json
 import os
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -31,11 +31,17 @@ SEVERAL = ("device", "revision", "fic_jax")  # attributes in which parts may dif
 Parts = dict[Shard, Store]
 
 
-def merge(paths: Sequence[Path], out: Path | None = None, incomplete: bool = False) -> Store:
+def merge(
+    paths: Sequence[Path],
+    out: Path | None = None,
+    incomplete: bool = False,
+    on_block: Callable[[int, int], None] = lambda done, blocks: None,
+) -> Store:
     """Make the store of all parts, at `out` or beside the first part.
 
-    If `incomplete`, shards and blocks may be missing; `resume` runs them. Raises SweepError for
-    parts that are missing, unfinished, running, damaged, or of different runs; OSError.
+    If `incomplete`, shards and blocks may be missing; `resume` runs them. `on_block` is called
+    after each block with the number of blocks that are done, and that there are. Raises SweepError
+    for parts that are missing, unfinished, running, damaged, or of different runs; OSError.
     """
     parts = _parts(paths)
     shard, first = next(iter(parts.items()))
@@ -47,7 +53,7 @@ def merge(paths: Sequence[Path], out: Path | None = None, incomplete: bool = Fal
             part.check_metadata()
     if not incomplete and (problem := _incomplete(parts, shard.whole(first.path))):
         raise SweepError(problem)
-    return build(path, lambda partial: _write(partial, parts))
+    return build(path, lambda partial: _write(partial, parts, on_block))
 
 
 def _parts(paths: Sequence[Path]) -> Parts:
@@ -114,7 +120,7 @@ def _numbers(numbers: Sequence[int]) -> str:
     return f"{', '.join(texts)} {'is' if len(numbers) == 1 else 'are'}"
 
 
-def _write(partial: Path, parts: Parts) -> None:
+def _write(partial: Path, parts: Parts, on_block: Callable[[int, int], None]) -> None:
     """Write the store of all parts into an empty folder."""
     first, rows, said = next(iter(parts.values())), [], []
     names = [file.path for file in first.check_metadata()]
@@ -126,7 +132,9 @@ def _write(partial: Path, parts: Parts) -> None:
         for part in parts.values():
             with unchanged(part.path):
                 own = part.rows()
-                list(pool.map(lambda row, part=part: _take_block(partial, part, row), own))
+                taken = pool.map(lambda row, part=part: _take_block(partial, part, row), own)
+                for done, _ in enumerate(taken, len(rows) + 1):
+                    on_block(done, first.grid.n_blocks)
             ledger.insert(own)
             rows += own
             said.append(_said(part, own))

@@ -11,6 +11,7 @@ import typer
 from sweeps.cli import interruption
 from sweeps.cli.arguments import NewStore, StorePath
 from sweeps.cli.errors import fail, refuse, system_errors_reported, unreadable_refused
+from sweeps.cli.progress import blocks_counted
 
 if TYPE_CHECKING:
     from sweeps.store.opening import Store
@@ -85,7 +86,13 @@ def reduce(
     target = out or path.with_name(f"{path.stem}-reduced.zarr")
     with unreadable_refused(path), system_errors_reported(target):
         try:
-            new = reduce_store(store, sweep, target, chunk, stop.raise_if_requested)
+            with blocks_counted("reduce") as show:
+
+                def on_block(done: int, blocks: int) -> None:
+                    show(done, blocks)
+                    stop.raise_if_requested()
+
+                new = reduce_store(store, sweep, target, chunk, on_block)
         except KeyboardInterrupt:
             _interrupted(target)
     _say(store, new)

@@ -198,7 +198,7 @@ def test_any_block_size_gives_the_same_bits(tmp_path, reduced):
 def test_a_store_reduced_after_its_run_has_the_bits_of_a_reduced_run(tmp_path, full, reduced):
     table = reduced.grid.sweep.reduce.model_dump(exclude_none=True)
     path = tmp_path / "after.zarr"
-    after = reduce_store(full, reduced_sweep(full, table), path, 7, lambda: None)
+    after = reduce_store(full, reduced_sweep(full, table), path, 7, lambda *_: None)
     assert bits(after.path) == bits(reduced.path)
     assert after.group.attrs["reduced_from"] == "full.zarr"
     assert "end" in open_store(path).group.attrs
@@ -209,7 +209,7 @@ def test_an_interrupted_reduction_is_resumed(tmp_path, full, reduced):
     assert runner.run(runner.reopen(path, 32), quiet).ran > 0
     assert bits(path) == bits(reduced.path)
 
-    def stop():
+    def stop(*_):
         raise KeyboardInterrupt
 
     table = reduced.grid.sweep.reduce.model_dump(exclude_none=True)
@@ -361,7 +361,7 @@ def test_what_a_store_lacks_is_counted_and_refused(tmp_path):
     store = stopped(tmp_path / "half.zarr", parse(FULL, "full.toml"), 20, 100)
     table = {"over": ["sigma", "Kenv"], "max": ["contact_time"]}
     sweep = reduced_sweep(store, table)
-    data = dataset(reduce_store(store, sweep, tmp_path / "r.zarr", None, lambda: None).path)
+    data = dataset(reduce_store(store, sweep, tmp_path / "r.zarr", None, lambda *_: None).path)
     cells = dataset(store.path)
     absent = (cells["status"].fillna(0) == NOT_RUN).mean(["sigma", "Kenv"])
     assert 0 < float(absent.mean()) < 1
@@ -374,7 +374,7 @@ def test_a_store_without_a_block_is_refused(tmp_path):
     store = runner.start(tmp_path / "none.zarr", parse(FULL, "full.toml"), 20, 32)
     sweep = reduced_sweep(store, {"over": ["sigma"], "max": ["nmse"]})
     with pytest.raises(SweepError, match="no finished block, so there is nothing to reduce"):
-        reduce_store(store, sweep, tmp_path / "r.zarr", None, lambda: None)
+        reduce_store(store, sweep, tmp_path / "r.zarr", None, lambda *_: None)
     assert not (tmp_path / "r.zarr").exists()
 
 
@@ -387,7 +387,7 @@ def test_a_damaged_block_is_not_reduced(tmp_path, full):
     store = open_store(copy)
     sweep = reduced_sweep(store, {"over": ["Td"], "max": ["nmse"]})
     with pytest.raises(SweepError, match="is not as it was written; `fic-sweep verify"):
-        reduce_store(store, sweep, tmp_path / "r.zarr", None, lambda: None)
+        reduce_store(store, sweep, tmp_path / "r.zarr", None, lambda *_: None)
 
 
 def test_a_reduced_store_says_what_it_is(reduced):
