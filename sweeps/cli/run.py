@@ -78,6 +78,7 @@ def run(
         from sweeps import runner
         from sweeps.plan.shard import Shard
         from sweeps.spec.overrides import refuse_repeated
+        from sweeps.store.create import taken_back_if_refused
         from sweeps.store.opening import open_store
 
     share = Shard.parse(shard) if shard is not None else None
@@ -97,7 +98,7 @@ def run(
         else:
             runner.check_start(path, sweep, chunk, sweep.bits, share)
         return
-    with _client(dask) as client:
+    with _client(dask) as client, taken_back_if_refused(path):
         if share:
             store = runner.start_or_reopen(path, sweep, chunk, sweep.bits, share)
         else:

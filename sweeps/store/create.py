@@ -48,10 +48,7 @@ def build(path: Path, write: Callable[[Path], None]) -> Store:
             if folder.is_relative_to(parent) and folder != path.absolute().parent:
                 sync(folder)
     except (OSError, LedgerError) as error:
-        for folder in path.absolute().parents:
-            if folder.is_relative_to(parent) and folder != parent:
-                with suppress(OSError):  # not made, or another process uses it
-                    folder.rmdir()
+        _remove_new_folders(path, parent)
         reason = getattr(error, "strerror", None) or error
         if disk.refused(error):
             raise OSError(
@@ -59,6 +56,32 @@ def build(path: Path, write: Callable[[Path], None]) -> Store:
             ) from None
         raise SweepError(f"{path}: can't be written: {reason}") from None
     return open_store(path)
+
+
+@contextmanager
+def taken_back_if_refused(path: Path) -> Iterator[None]:
+    """Delete a store that is made at `path` inside, if its run is refused before a block is done.
+
+    A store that was there before stays. Reraises the SweepError.
+    """
+    before, parent = os.path.lexists(path), _existing_parent(path)
+    try:
+        yield
+    except SweepError:
+        if not before and (path / "zarr.json").is_file():
+            with suppress(SweepError, OSError), locked(path):  # by no other process
+                if not open_store(path).rows():
+                    shutil.rmtree(path)
+                    _remove_new_folders(path, parent)
+        raise
+
+
+def _remove_new_folders(path: Path, parent: Path) -> None:
+    """Remove the empty folders around `path` that are below `parent`."""
+    for folder in path.absolute().parents:
+        if folder.is_relative_to(parent) and folder != parent:
+            with suppress(OSError):  # not made, or another process uses it
+                folder.rmdir()
 
 
 def check_new(path: Path, grid: Grid, dtype: str) -> Path:
