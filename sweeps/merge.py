@@ -122,7 +122,8 @@ def _numbers(numbers: Sequence[int]) -> str:
 
 def _write(partial: Path, parts: Parts, on_block: Callable[[int, int], None]) -> None:
     """Write the store of all parts into an empty folder."""
-    first, rows, said = next(iter(parts.values())), [], []
+    first, said = next(iter(parts.values())), []
+    rows: list[Row] = []
     names = [file.path for file in first.check_metadata()]
     for name in names:
         (partial / name).parent.mkdir(exist_ok=True)
