@@ -7,8 +7,9 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Colormap, LogNorm, Normalize
+from matplotlib.colors import Colormap, ListedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
@@ -30,16 +31,24 @@ def pool(parts: Sequence[Cells]) -> NDArray[np.float64]:
     return np.concatenate([np.ravel(part.values.compressed()) for part in parts])
 
 
-def colour_map(metric: str) -> Colormap:
-    """Colours that show the sign, or the size."""
-    return style.DIVERGING if metric in SIGNED_METRICS else colormaps[style.SEQUENTIAL]
+def colour_map(part: Cells) -> Colormap:
+    """Colours that show the sign, or the size; of choices, one for each."""
+    if part.choices:
+        return ListedColormap(style.CHOICES[: len(part.choices)])
+    return style.DIVERGING if part.metric in SIGNED_METRICS else colormaps[style.SEQUENTIAL]
 
 
-def norm(metric: str, values: NDArray[np.float64]) -> Normalize:
-    """A scale between round numbers around the middle 98 % of the values."""
-    positive = values[values > 0]
+def norm(part: Cells, values: NDArray[np.float64]) -> Normalize:
+    """A scale between round numbers around the middle 98 % of the values.
+
+    Values of an axis have the spacing of the axis.
+    """
+    if part.choices:
+        return Normalize(0.5, len(part.choices) + 0.5)
+    metric, positive = part.metric, values[values > 0]
     free = metric not in LINEAR_METRICS + SIGNED_METRICS and 0 < positive.size == values.size
-    log = metric in LOG_METRICS or (free and positive.max() > 100 * positive.min())
+    wide = free and positive.max() > 100 * positive.min()
+    log = part.spacing == "log" if part.spacing else metric in LOG_METRICS or wide
     if log and positive.size:
         low, high = np.log10(np.quantile(positive, [0.01, 0.99], method="inverted_cdf"))
         top = max(math.ceil(high), math.floor(low) + 1)
@@ -59,6 +68,14 @@ def norm(metric: str, values: NDArray[np.float64]) -> Normalize:
     return Normalize(ticks[0], ticks[-1])
 
 
+def choice_entries(part: Cells) -> dict[str, Patch]:
+    """Text -> box, for each choice."""
+    return {
+        choice: Patch(facecolor=colour, linewidth=0.5, edgecolor="black")
+        for choice, colour in zip(part.choices, style.CHOICES, strict=False)
+    }
+
+
 def extend(values: NDArray[np.float64], scale: Normalize) -> str:
     """The ends of a colour bar that get an arrow: those that values exceed."""
     low, high = np.array([scale.vmin, scale.vmax], float)
@@ -70,7 +87,7 @@ def bar(
     fig: Figure, drawn: ScalarMappable, axes: list[Axes], part: Cells, values: NDArray[np.float64]
 ) -> None:
     """One colour bar for a row of axes, with its arrows, and the level that their lines follow."""
-    scale = norm(part.metric, values)
+    scale = norm(part, values)
     bar = fig.colorbar(
         drawn, ax=axes, extend=extend(values, scale), fraction=0.08, pad=0.02, aspect=22
     )

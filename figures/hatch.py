@@ -128,7 +128,9 @@ def special_entries(parts: Sequence[Of]) -> dict[str, Handle]:
 
 def special_text(key: str, parts: Sequence[Of]) -> str:
     """Why cells have no value, with their share of each panel."""
+    none = "none is best" if parts[0].metric.startswith("best_") else "no value"
     words = {"not run": "not run yet", "infinite": INFINITE.get(parts[0].metric, "infinite")}
+    words["no value"] = none
     cells = [part.special.get(key, np.zeros(1, bool)) for part in parts]
     return f"{words.get(key, key)} ({shares(cells)})"
 

@@ -40,8 +40,9 @@ def panels(items: Sequence[tuple[str, Plane]]) -> Figure:
     room = (72 * width - BAR_ROOM - labels) / len(items) - 8
     with style.look():
         head, titles = caption.titles(items, 72 * width - 10, room + 8)
+        head = caption.of_choices(head, planes[0], 72 * width - 10)
         held = caption.held(planes, 72 * width - 10)
-        entries = hatch.legend_entries(planes)
+        entries = colours.choice_entries(planes[0]) | hatch.legend_entries(planes)
         borders = [border.between(plane) for plane in planes]
         for line in borders:
             entries |= border.legend_entry(line) if line else {}
@@ -52,8 +53,7 @@ def panels(items: Sequence[tuple[str, Plane]]) -> Figure:
         fig = Figure(figsize=(width, 2.55 + 0.13 * lines + 0.15 * small))
         grid = list(fig.subplots(1, len(items), sharey=shared, squeeze=False)[0])
         pool = colours.pool(planes)
-        metric = planes[0].metric
-        cmap, norm = colours.colour_map(metric), colours.norm(metric, pool)
+        cmap, norm = colours.colour_map(planes[0]), colours.norm(planes[0], pool)
         for ax, plane, line, title in zip(grid, planes, borders, titles, strict=True):
             coloured = _panel(ax, plane, cmap, norm, room)
             ax.set_title(title)
@@ -63,7 +63,7 @@ def panels(items: Sequence[tuple[str, Plane]]) -> Figure:
                 ax.set_ylabel("")
                 ax.tick_params(labelleft=False)
         fig.suptitle(head)
-        if pool.size:
+        if pool.size and not planes[0].choices:
             colours.bar(fig, coloured, grid, planes[0], pool)
         hatch.legend(fig, entries, columns, held, len(planes))
     return fig
@@ -93,7 +93,7 @@ def _panel(ax: Axes, plane: Plane, cmap: Colormap, norm: Normalize, room: float)
         ticks.draw(drawn, axis, length)
     ax.set_xlim(plane.x.edges[0], plane.x.edges[-1])
     ax.set_ylim(plane.y.edges[0], plane.y.edges[-1])
-    if max(plane.values.shape) <= FEW_CELLS:
+    if max(plane.values.shape) <= FEW_CELLS and not plane.choices:
         _cell_numbers(ax, plane, cmap, norm, room)
     return colours_drawn
 

@@ -58,7 +58,7 @@ class Points(Cells):
     @property
     def joined(self) -> bool:
         """Whether a line joins the values."""
-        return self.own and self.x.scale != "category"
+        return self.own and self.x.scale != "category" and not self.choices
 
 
 def select(
@@ -144,9 +144,10 @@ def draw(points: Points) -> Figure:
     with style.look():
         width = 72 * style.COLUMN_WIDTH - 10
         head, _ = caption.titles([("", points)], width, width)
+        head = head if points.y is None else caption.of_choices(head, points, width)
         held = caption.held([points], width)
         pool = colours.pool([points])
-        norm = colours.norm(points.metric, pool)
+        norm = colours.norm(points, pool)
         fig = Figure()
         ax = fig.subplots()
         ax.set_xscale("log" if points.x.scale == "log" else "linear")
@@ -202,6 +203,9 @@ def _heights(ax: Axes, points: Points, log: bool) -> dict[str, hatch.Handle]:
         kind = {"linthresh": positive.min()} if positive.size < values.size else {}
         ax.set_yscale("symlog" if kind else "log", **kind)
     ax.set_ylabel(style.fold(points.label, 150))
+    if points.choices:
+        ax.set_yticks(range(1, len(points.choices) + 1), points.choices)
+        ax.set_ylim(0.5, len(points.choices) + 0.5)
     if points.own:
         for path, look in hatch.bands(points.x.edges, points.special):
             across = ax.get_xaxis_transform()
@@ -217,10 +221,10 @@ def _colours(
     x, y, doubt = _places(points), side.values.astype(float), points.untrusted
     known = ~np.ma.getmaskarray(points.values)
     doubt = np.zeros(known.shape, bool) if doubt is None else doubt & known
-    entries: dict[str, hatch.Handle] = {}
+    entries: dict[str, hatch.Handle] = {**colours.choice_entries(points)}
     kind: dict[str, Any] = {
-        "cmap": colours.colour_map(points.metric),
-        "norm": colours.norm(points.metric, pool),
+        "cmap": colours.colour_map(points),
+        "norm": colours.norm(points, pool),
         "rasterized": True,
     }
     sure = known & ~doubt
@@ -237,7 +241,7 @@ def _colours(
         entries[hatch.special_text(key, [points])] = Line2D([], [], **mark)
     ticks.draw(ax.yaxis, side, PANEL_HEIGHT)
     ax.set_ylim(side.edges[0], side.edges[-1])
-    if pool.size:
+    if pool.size and not points.choices:
         colours.bar(fig, drawn, [ax], points, pool)
     return entries
 

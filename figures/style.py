@@ -90,6 +90,8 @@ WORDS = {  # choices of the model; the others are words
 }
 
 SEQUENTIAL = "viridis"
+# Of choices (Okabe and Ito): any two differ for colour-blind readers, the first three in grey too.
+CHOICES = ["#0072B2", "#F0E442", "#D55E00", "#56B4E9", "#009E73", "#CC79A7"]
 # Of lines on white: blue to orange. Its lighter end has a contrast below 3 and fades in print.
 ORDERED, LIGHTEST = "plasma", 0.63
 # Luminance rises from end to end, so that a grey print shows the sign. Colour-blind readers can

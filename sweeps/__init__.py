@@ -58,6 +58,7 @@ def run(
     from sweeps import runner
     from sweeps.spec.mistakes import SweepError
     from sweeps.spec.reading import load
+    from sweeps.store.create import taken_back_if_refused
     from sweeps.store.opening import open_store
 
     if isinstance(sweep, str | Path):
@@ -75,9 +76,12 @@ def run(
         if sweep.bits == 64 and not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
             x64 = "`jax.config.update('jax_enable_x64', True)`"
             raise SweepError(f"{sweep.name}: precision = 64 needs {x64}") from None
-    store = runner.start_or_reopen(place, sweep, chunk, sweep.bits, None)
-    run_blocks = None
-    if client:
-        run_blocks = Cluster(client, store).run_blocks
-    runner.run(store, on_progress or (lambda _: None), run_blocks=run_blocks)
+    with taken_back_if_refused(place):
+        store = runner.start_or_reopen(place, sweep, chunk, sweep.bits, None)
+        run_blocks = None
+        if client:
+            from sweeps.cluster import Cluster
+
+            run_blocks = Cluster(client, store).run_blocks
+        runner.run(store, on_progress or (lambda _: None), run_blocks=run_blocks)
     return open_store(store.path)

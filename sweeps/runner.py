@@ -116,6 +116,7 @@ def start_or_reopen(
     found, wanted = open_store(path), attributes(Grid(plan, chunk, shard))
     other = [word for key, word in OF_RUN.items() if found.group.attrs.get(key) != wanted[key]]
     other += ["--shard"] if found.grid.shard != shard else []
+    other += ["--precision"] if found.dtype != f"float{precision}" else []
     if other:
         raise SweepError(f"{path}: was begun with another {', '.join(other)}; --out names another")
     store = reopen(path, precision)

@@ -1,7 +1,7 @@
 """A sweep's cells in blocks, and the scenarios of one block."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, cast
@@ -145,10 +145,14 @@ class Grid:
     def n_blocks(self) -> int:
         return math.prod(self.counts)
 
-    @property
-    def own(self) -> range:
-        """The numbers of the blocks to run."""
+    @cached_property
+    def own(self) -> Sequence[int]:
+        """The numbers of the blocks to run, in order."""
         return self.shard.blocks(self.n_blocks) if self.shard else range(self.n_blocks)
+
+    def owns(self, block: int) -> bool:
+        """Whether a block is one of those to run."""
+        return 0 <= block < self.n_blocks and (self.shard is None or self.shard.has(block))
 
     @cached_property
     def own_cells(self) -> int:
@@ -159,7 +163,7 @@ class Grid:
         cells = np.ones(1, np.int64)  # of each block
         for n, side in dims:
             cells = np.outer(cells, np.diff(np.append(np.arange(0, n, side), n))).ravel()
-        return int(cells[self.own.start :: self.own.step].sum())
+        return int(cells[list(self.own)].sum())
 
     def place(self, index: int) -> tuple[int, ...]:
         """A block's index along each dimension; along the last one, numbers are consecutive."""

@@ -7,6 +7,7 @@ attribute, no index.
 
 import ast
 import operator
+import re
 import warnings
 from collections.abc import Mapping
 from functools import reduce
@@ -31,6 +32,18 @@ _OPERATORS: dict[type[ast.AST], Any] = {
     ast.Or: np.logical_or,
     ast.Not: np.logical_not,
 }
+# What other languages write -> what a condition has instead.
+_FOREIGN = {
+    **dict.fromkeys(("&&", "&", "AND"), "`and`"),
+    **dict.fromkeys(("||", "|", "OR"), "`or`"),
+    **dict.fromkeys(("!", "~", "NOT"), "`not`"),
+    **dict.fromkeys(("^", "**"), "a product, as `nmse * nmse`"),
+    "=": "`==`",
+    "<>": "`!=`",
+    "≤": "`<=`",
+    "≥": "`>=`",
+}
+_SIGN = re.compile(r"<>|[<>=!]=|&&|\|\||\*\*|[&|~!=^≤≥]|\b(?:AND|OR|NOT)\b")
 LARGEST = 1e300  # number in a condition: a longer whole one is no float
 MOST_NODES = 200  # of a condition: a person writes ten
 
@@ -58,6 +71,9 @@ def holds(text: str, values: Mapping[str, Any]) -> np.ndarray:
 
 
 def _parsed(text: str) -> ast.expr:
+    for sign in _SIGN.findall(text):
+        if sign in _FOREIGN:
+            raise ConditionError(f"written with {_FOREIGN[sign]}, not with `{sign}`")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what Python says of a text like `1if`

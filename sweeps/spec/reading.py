@@ -113,7 +113,15 @@ def _without_wrong_entries(raw: dict[str, Any]) -> tuple[Sweep | None, list[str]
         sweep = Sweep.model_validate({"name": "unnamed"} | rest)
     except ValidationError:
         sweep = None
-    return sweep, [explain(error) for error in wrong]
+    lines = [explain(error) for error in wrong]
+    # a key that is missing because it is misspelt is one mistake
+    misspelt = [line.rpartition("; did you mean ")[2] for line in lines]
+    kept = [
+        line
+        for error, line in zip(wrong, lines, strict=True)
+        if not (error["type"] == "missing" and f"`{error['loc'][-1]}`?" in misspelt)
+    ]
+    return sweep, list(dict.fromkeys(kept))
 
 
 def _remove(record: dict[str, Any], place: list[str]) -> None:

@@ -65,7 +65,7 @@ def reduction(sweep: Sweep) -> Iterator[str]:
         return
     yield from _dimensions(list(sweep.dims), reduce)
     metrics = list(sweep.metrics)
-    if not (reduce.metrics or reduce.share):
+    if not (reduce.metrics or reduce.share or reduce.best):  # `best` wants `by`, which is one
         yield "`reduce` must name a statistic (max, min, mean, std, quantiles, share or best)."
     for key in ("max", "min", "mean", "std", "quantiles", "by"):
         listed = getattr(reduce, key) or []
@@ -113,12 +113,13 @@ def _conditions(reduce: Reduction, metrics: list[str]) -> Iterator[str]:
         except ConditionError as wanted:
             yield f"`reduce.share.{name}` must be {wanted}, but is {excerpt(text)}."
             continue
-        for unknown in (n for n in used if n not in metrics and n not in QUANTITIES):
+        unknowns = [n for n in used if n not in metrics and n not in QUANTITIES]
+        for unknown in unknowns:
             known = hint(unknown, [*metrics, *QUANTITIES])
             yield f"`reduce.share.{name}` must have names of metrics and fields alone, but has " + (
                 f"`{unknown}`{known}"
             )
-        if not set(used) & set(metrics):
+        if not unknowns and not set(used) & set(metrics):
             yield f"`reduce.share.{name}` must name a metric, but is {excerpt(text)}."
 
 

@@ -224,6 +224,18 @@ class Reduction(Record):
         named = (self.max, self.min, self.mean, self.std, self.quantiles, by)
         return list(dict.fromkeys(name for names in named for name in names))
 
+    @property
+    def question(self) -> str:
+        """What it asks, in one line: `over Denv, Td: best sigma by nmse; max nmse`."""
+        parts = [f"best {self.best} by {self.by}"] if self.best else []
+        listed = {key: getattr(self, key) for key in ("max", "min", "mean", "std")}
+        parts += [f"{key} {', '.join(names)}" for key, names in listed.items() if names]
+        for name, numbers in self.quantiles.items():
+            parts.append(f"quantiles {', '.join(f'{part:g}' for part in numbers)} of {name}")
+        parts += [f"share of {text}" for text in self.share.values()]
+        parts += [f"untrusted {self.untrusted:g}"] if self.untrusted else []
+        return f"over {', '.join(self.over)}: {'; '.join(parts)}"
+
 
 Tolerance = Annotated[Number, Field(gt=0)]
 

@@ -10,6 +10,7 @@ from zarr.codecs import BloscCodec, Crc32cCodec
 
 from fic_jax import METRICS, QUANTITIES, TRUST
 from sweeps.plan.grid import Grid
+from sweeps.plan.shard import RULE
 from sweeps.spec.types import STORED, Sweep
 from sweeps.store import reduced
 
@@ -185,30 +186,11 @@ def attributes(grid: Grid) -> dict[str, Any]:
         "metrics_definition": DEFINITION,
         "metrics_definition_meaning": DEFINITIONS[DEFINITION],
     }
-    record |= {"shard": str(grid.shard)} if grid.shard else {}
+    record |= {"shard": str(grid.shard), "shard_rule": RULE} if grid.shard else {}
     if sweep.refine:
         record |= {"refined_axes": " ".join(sweep.refined), "refined_levels": sweep.refine.levels}
-    record |= {"reduced_over": json.dumps(_ranges(grid))} if sweep.reduce else {}
+    record |= {"reduced_over": " ".join(sweep.reduce.gone)} if sweep.reduce else {}
     return record | ({"error_estimate_meaning": ESTIMATE} if sweep.error_estimate else {})
-
-
-def _ranges(grid: Grid) -> dict[str, list[Any]]:
-    """What varied along the dimensions that are gone: number of values, the least, the largest.
-
-    Of a choice all values; of a random design the ends of its ranges.
-    """
-    sweep, ranges = grid.sweep, {}
-    for dim in sweep.reduce.gone if sweep.reduce else ():
-        if dim in sweep.model:
-            ranges[dim] = [grid.full.dims[dim], *sweep.model[dim]]
-        elif dim == "scenario" and sweep.sample:
-            for name, drawn in sweep.sample.ranges.items():
-                ranges[name] = [sweep.sample.n, *sorted(drawn.ends)]
-        else:
-            for name in sweep.cases if dim == "case" else [dim]:
-                ends = sweep.outermost(name)
-                ranges[name] = [grid.full.dims[dim], float(ends.min()), float(ends.max())]
-    return ranges
 
 
 def size(grid: Grid, dtype: str) -> int:

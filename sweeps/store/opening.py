@@ -14,7 +14,7 @@ import numpy as np
 import zarr
 
 from sweeps.plan.grid import Grid, cells_of
-from sweeps.plan.shard import Shard
+from sweeps.plan.shard import RULE, Shard
 from sweeps.spec.mistakes import SweepError, command, printable
 from sweeps.spec.overrides import override
 from sweeps.spec.reading import validate
@@ -107,7 +107,7 @@ class Store:
             return list(self._rows_of_format_1())
         rows = self._read(self.ledger.rows)
         for row in rows:
-            if row.block not in self.grid.own or set(row.files) - set(self.variables):
+            if not self.grid.owns(row.block) or set(row.files) - set(self.variables):
                 raise self.damaged(f"{LEDGER} is damaged: it has a block {row.block}")
         return rows
 
@@ -121,8 +121,27 @@ class Store:
             )
 
     def run_again(self) -> str:
-        """The command that runs its sweep again, into another store."""
+        """The command that runs its sweep, or its shard, again, into another store."""
+        shard = self.grid.shard
+        if shard:
+            again = f"{shard.whole(self.path).stem}-again.zarr"
+            return self.run_shard(shard, Path(again))
         return command("run", self.path, "--out", Path(f"{self.path.stem}-again.zarr"))
+
+    def run_shard(self, shard: Shard, whole: Path) -> str:
+        """The command that runs a shard of its sweep, as a part that `merge` takes with this one.
+
+        `whole` is the store of all parts.
+        """
+        attributes = self.group.attrs
+        options = {
+            "--shard": shard,
+            "--chunk": attributes["block_cells"],
+            "--precision": self.dtype.removeprefix("float"),
+            "--device": attributes["platform"],
+            "--out": whole,
+        }
+        return command("run", self.path, *(word for pair in options.items() for word in pair))
 
     def sweep_again(self, overrides: Sequence[str] = ()) -> Sweep:
         """Its sweep for a new run, changed as by `--set`. Raises SweepError for a mistake."""
@@ -313,6 +332,11 @@ def _read(path: Path) -> Store:
         raise ValueError(f"block_cells {chunk}, dtype {attributes['dtype']}")
     ledger = Ledger(path / LEDGER) if written > 1 else None
     shard = Shard.parse(str(attributes["shard"])) if "shard" in attributes else None
+    if shard and attributes.get("shard_rule") != RULE:
+        raise SweepError(
+            f"{path}: is shard {shard} of another version of fic-sweep, which divides the blocks "
+            "in another way; only that one can read it"
+        )
     store = Store(path, Grid(sweep, chunk, shard), group, ledger)
     for array in store_format.arrays(store.grid, store.dtype, store.form):
         if not _matches(store, array):

@@ -156,7 +156,7 @@ def _ledger_problems(ledger: Ledger) -> Iterator[Problem]:
 
 
 def _block_problems(store: Store, row: Row) -> Iterator[Problem]:
-    if row.block not in store.grid.own or set(row.files) != set(store.variables):
+    if not store.grid.owns(row.block) or set(row.files) != set(store.variables):
         yield Problem(LEDGER, f"is damaged: block {row.block} is none of this sweep")
         return
     for file, checksum in store.files(row):
