@@ -50,9 +50,9 @@ coverage: $(VENV)/installed
 	$(BIN)/coverage report --fail-under=100 --include=$(call modules,$(WHOLE))
 	$(BIN)/coverage report --fail-under=98 --include=$(call modules,$(NEARLY))
 
-# -W: a warning fails the build, -n: so does a reference to nothing; both as in the tests
+# -E: tables follow the program, -W: a warning fails the build, -n: so does a reference to nothing
 docs: $(VENV)/installed
-	$(BIN)/python -m sphinx -W -n --keep-going -q -b html docs docs/_build/html
+	$(BIN)/python -m sphinx -E -W -n --keep-going -q -b html docs docs/_build/html
 	@echo docs/_build/html/index.html
 
 picture:

@@ -14,6 +14,7 @@ extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx_copybutton",
+    "diagram",
     "docstrings",
     "mathml",
     "outside",
@@ -30,10 +31,12 @@ copybutton_only_copy_prompt_lines = True
 
 autodoc_typehints = "none"  # the docstrings name types, shapes and units
 autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True  # `Model()` and not all its choices
 add_module_names = False
 
 html_theme = "furo"
 html_title = f"fic_jax {version}"
+html_theme_options = {"light_css_variables": {"color-code-background": "#f3f5f8"}}
 html_static_path = ["_static"]
 html_css_files = ["pages.css"]
 html_copy_source = html_show_sphinx = html_show_copyright = False

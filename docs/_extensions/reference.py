@@ -22,21 +22,24 @@ from fic_jax import (
     controller,
     environment,
     exploration,
+    metrics,
     profile,
     rk4,
     simulation,
 )
-from figures.style import SYMBOLS
+from figures.style import SYMBOLS, units_text
 from sweeps.store.format import bound
 
 # What a page says of the code in which a field stands, and that code.
-USES: dict[str, Any] = {
-    "[eq. 1, 2](model.md#force-profile)": profile,
-    "[Algorithm 1](model.md#algorithm-1)": controller,
-    "[Algorithm 2](model.md#algorithm-2)": exploration,
-    "[plant](model.md#plant)": rk4,
-    "[contact](model.md#contact)": environment,
-    "[start](model.md#time-and-start)": simulation.initial,
+USES = {
+    "[eq. 1, 2](model.md#force-profile)": inspect.getsource(profile),
+    "[Algorithm 1](model.md#algorithm-1)": inspect.getsource(controller),
+    "[Algorithm 2](model.md#algorithm-2)": inspect.getsource(exploration),
+    # without the rates, among which are those of the metrics
+    "[plant](model.md#plant)": inspect.getsource(rk4.advance).partition("def rates")[0],
+    "[contact](model.md#contact)": inspect.getsource(environment),
+    "[start](model.md#time-and-start)": inspect.getsource(simulation.initial),
+    "[metrics](model.md#metrics)": inspect.getsource(metrics.reachable),
 }
 
 
@@ -45,24 +48,18 @@ def fields() -> Iterator[str]:
     yield "| field | symbol | meaning | unit | default | bound | used in |"
     yield "|---|---|---|---|---:|---|---|"
     for name, about in QUANTITIES.items():
-        used = [
-            place for place, code in USES.items() if re.search(rf"\bp\.{name}\b", _source(code))
-        ]
+        used = [place for place, code in USES.items() if re.search(rf"\bp\.{name}\b", code)]
         symbol = SYMBOLS[name] if SYMBOLS[name].startswith("$") else ""
         default = f"{getattr(Params(), name):g}"
         yield _row(
             f"`{name}`",
             symbol.replace("Max", r"\mathrm{Max}").replace("{env}", r"\mathrm{env}"),
-            about["meaning"],
-            about["unit"],
+            _plain(about["meaning"]),
+            units_text(about["unit"]),
             default,
             about["bound"],
             ", ".join(used),
         )
-
-
-def _source(code: Any) -> str:
-    return inspect.getsource(code)
 
 
 def choices() -> Iterator[str]:
@@ -74,17 +71,16 @@ def choices() -> Iterator[str]:
         found = re.search(rf"^{name}: (.*(?:\n +.*)*)", words, re.MULTILINE)
         assert found, name
         listed = ", ".join(f"`{option}`" for option in options)
-        yield _row(f"`{name}`", listed, " ".join(found[1].split()).replace("|", r"\|"))
+        yield _row(f"`{name}`", listed, _plain(" ".join(found[1].split())))
 
 
-def metrics() -> Iterator[str]:
+def metrics_rows() -> Iterator[str]:
     """A row for each metric, with the largest error of one that is trusted."""
     yield "| metric | meaning | unit | trusted if its error is at most |"
     yield "|---|---|---|---|"
     for name, about in METRICS.items():
         trust = "" if name == "finite" else bound(name)
-        meaning = about["meaning"].replace("|", r"\|")
-        yield _row(f"`{name}`", meaning, about["unit"], trust)
+        yield _row(f"`{name}`", _plain(about["meaning"]), units_text(about["unit"]), _plain(trust))
 
 
 def signals() -> Iterator[str]:
@@ -92,7 +88,14 @@ def signals() -> Iterator[str]:
     yield "| signal | meaning | unit |"
     yield "|---|---|---|"
     for name, about in SIGNALS.items():
-        yield _row(f"`{name}`", about["meaning"], about["unit"])
+        yield _row(f"`{name}`", _plain(about["meaning"]), units_text(about["unit"]))
+
+
+def _plain(text: str) -> str:
+    """A text of the program as Markdown: its * and _ are no emphasis, its | no column."""
+    parts = text.split("`")  # every second part is code
+    parts[::2] = [re.sub(r"([|*_])", r"\\\1", part) for part in parts[::2]]
+    return "`".join(part.replace("|", r"\|") if i % 2 else part for i, part in enumerate(parts))
 
 
 def _row(*cells: str) -> str:
@@ -102,14 +105,13 @@ def _row(*cells: str) -> str:
 def _directive(rows: Any) -> type[SphinxDirective]:
     class Table(SphinxDirective):
         def run(self) -> list[nodes.Node]:
-            for module in (profile, controller, exploration, environment, rk4, simulation):
-                self.env.note_dependency(module.__file__)
             return self.parse_text_to_nodes("\n".join(rows()))
 
     return Table
 
 
 def setup(app: Any) -> dict[str, bool]:  # noqa: D103  Sphinx's name
-    for rows in (fields, choices, metrics, signals):
-        app.add_directive(rows.__name__, _directive(rows))
+    tables = {"fields": fields, "choices": choices, "metrics": metrics_rows, "signals": signals}
+    for name, rows in tables.items():
+        app.add_directive(name, _directive(rows))
     return {"parallel_read_safe": True, "parallel_write_safe": True}
