@@ -1,4 +1,4 @@
-"""The reference leaves nothing out: fields, choices, metrics, keys of a sweep file, public names."""
+"""The reference leaves nothing out: fields, choices, metrics, keys of sweep files, names."""
 
 import re
 
