@@ -36,7 +36,6 @@ add_module_names = False
 
 html_theme = "furo"
 html_title = f"fic_jax {version}"
-html_theme_options = {"light_css_variables": {"color-code-background": "#f3f5f8"}}
 html_static_path = ["_static"]
 html_css_files = ["pages.css"]
 html_copy_source = html_show_sphinx = html_show_copyright = False

@@ -4,17 +4,24 @@ docutils translates LaTeX to MathML. The font, _static/math.woff, has 90 kB: wit
 mathematics, as on most Linux desktops, braces do not stretch. MathJax has 2 MB of scripts.
 """
 
+import re
 from typing import Any
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.writers.html5 import HTML5Translator
 
+# docutils sets the index of an accented letter below it
+_INDEX_BELOW = re.compile(
+    r"<munderover>\s*(.*?)\s*\n\s*(\S.*?)\s*(<mo.*?</mo>)\s*</munderover>", re.DOTALL
+)
+_BAR = re.compile(r"<mo( class=\"mathopen\")?( stretchy=\"false\")?>\|")
+
 
 def _mathml(latex: str, block: bool) -> str:
     text = tex2mathml(latex, as_block=block)
-    text = text.replace("munder>", "msub>")  # where docutils puts the index of an accented letter
-    return text.replace('<mo stretchy="false">|', '<mo stretchy="false" lspace="0" rspace="0">|')
+    text = _INDEX_BELOW.sub(r'<msub><mover accent="true">\1\3</mover>\2</msub>', text)
+    return _BAR.sub('<mo stretchy="false" lspace="0" rspace="0">|', text)
 
 
 def _inline(page: HTML5Translator, node: nodes.math) -> None:
