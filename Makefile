@@ -7,7 +7,7 @@
 # make figures the paper's figures, and those of a report that has run, under results/figures/
 # make gpu     measure everything on an NVIDIA card, with the packages that are there: tables under results/gpu/
 #              make gpu GPU="--only rates --limit 600"; python -m benchmarks.gpu --help lists the options
-# make clean   remove the results, as after a change of the program; make distclean the environment too
+# make clean   remove the results, as after a change of the program; make distclean the environment and the documentation too
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -83,4 +83,4 @@ clean:
 	rm -rf results
 
 distclean: clean
-	rm -rf $(VENV)
+	rm -rf $(VENV) docs/_build
