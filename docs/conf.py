@@ -38,4 +38,5 @@ html_theme = "furo"
 html_title = f"fic_jax {version}"
 html_static_path = ["_static"]
 html_css_files = ["pages.css"]
+html_show_search_summary = False  # fetched, which a file:// page may not
 html_copy_source = html_show_sphinx = html_show_copyright = False

@@ -117,7 +117,7 @@ def _summary(value: Any) -> str:
             return f"{n:,} of {array.size:,} true" if array.ndim else str(bool(n))
         if not array.ndim:
             return f"{jax.device_get(array).item():.6g}"
-        low, high = (f"{float(end):.6g}" for end in jax.device_get(_ends(array)))
+        low, high = (f"{float(end):.4g}" for end in jax.device_get(_ends(array)))
     shape = " x ".join(f"{n:,}" for n in array.shape)
     return f"[{shape}] {low}" + (f" to {high}" if high != low else "")
 

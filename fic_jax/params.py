@@ -136,7 +136,7 @@ class Model:
 
     def _repr_html_(self) -> str:
         rows = [
-            Row(name, getattr(self, name), meaning=f"of {', '.join(options)}")
+            Row(name, getattr(self, name), meaning=f"one of {', '.join(options)}")
             for name, options in CHOICES.items()
         ]
         defaults = [row for row in rows if row.value == CHOICES[row.name][0]]
