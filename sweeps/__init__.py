@@ -15,7 +15,7 @@
 - `paper`: the paper's scenarios and claims, and the report about them
 - `cli`: the command `fic-sweep`
 
-From Python, `sweeps.run` does what the command `run` does.
+From Python, `sweeps.run` does what the command `run` does, and `sweeps.load` reads a sweep file.
 
 Imports point one way: cli -> paper -> runner -> {reduce, refine} -> store -> plan -> spec ->
 fic_jax.
@@ -34,6 +34,18 @@ if TYPE_CHECKING:
 LIBRARY = Path(__file__).parent / "library"
 
 
+def load(sweep: "str | Path") -> "Sweep":
+    """A sweep of the library, by its name, or of a sweep file, by its path.
+
+    Raises SweepError, with a line for each mistake in the file.
+    """
+    from sweeps.spec import reading
+
+    in_library = LIBRARY / f"{sweep}.toml"
+    known = isinstance(sweep, str) and "/" not in sweep and in_library.is_file()
+    return reading.load(in_library if known else Path(sweep))
+
+
 def run(
     sweep: "Sweep | str | Path",
     path: "str | Path | None" = None,
@@ -48,7 +60,7 @@ def run(
     path: default NAME.zarr
     client: a `distributed.Client`, whose workers compute the blocks; None: this process does
     chunk: most cells of a block
-    on_progress: is called with a `runner.Progress` after each block
+    on_progress: is called with a `runner.Progress` after each block; `print` shows a line for each
 
     A block that could not be computed is set aside: `Counts.of(store).set_aside` names it. Raises
     SweepError for a wrong request, OSError if the disk or the cluster fails; finished blocks stay.
@@ -57,14 +69,11 @@ def run(
 
     from sweeps import runner
     from sweeps.spec.mistakes import SweepError
-    from sweeps.spec.reading import load
     from sweeps.store.create import taken_back_if_refused
     from sweeps.store.opening import open_store
 
     if isinstance(sweep, str | Path):
-        in_library = LIBRARY / f"{sweep}.toml"
-        known = isinstance(sweep, str) and "/" not in sweep and in_library.is_file()
-        sweep = load(in_library if known else Path(sweep))
+        sweep = load(sweep)
     if client:
         from sweeps.cluster import Cluster, refuse_refined
 

@@ -48,6 +48,13 @@ class Progress:
     combinations: int = 1  # scenarios of a cell
     refined: bool = False  # `cells` is the most that there may be, until the end
 
+    def __str__(self) -> str:
+        """How far the run is, in one line: `on_progress=print` shows it."""
+        scenarios = self.ran * self.combinations
+        rate = f", {scenarios / self.seconds:,.0f} scenarios/s" if scenarios else ""
+        share = self.done / max(self.cells, 1)
+        return f"{self.done:,} of {self.cells:,} cells ({100 * share:.0f} %){rate}"
+
     def after(self, row: Row, cells: int, known: Row | None, seconds: float) -> "Progress":
         """The state after a block of `cells`; its row before this run is `known`."""
         if row.outcome == SET_ASIDE:

@@ -14,7 +14,8 @@ PACKAGES = ("fic_jax", "sweeps", "figures", "benchmarks")
 # module of the physics -> modules of fic_jax that it may import
 ARROWS = {
     "inputs": set(),
-    "params": {"inputs"},
+    "display": set(),
+    "params": {"inputs", "display"},
     "profile": {"inputs", "params", "lanes.hints"},
     "controller": {"inputs", "params", "profile", "lanes.hints"},
     "exploration": {"inputs", "params"},
@@ -26,6 +27,7 @@ ARROWS = {
     "events": {"inputs", "params", "controller", "piece", "lanes.hints"},
     "simulation": {
         "inputs",
+        "display",
         "params",
         "controller",
         "exploration",
@@ -34,7 +36,16 @@ ARROWS = {
         "events",
         "lanes.hints",
     },
-    "metrics": {"inputs", "params", "environment", "piece", "events", "simulation", "lanes.hints"},
+    "metrics": {
+        "inputs",
+        "display",
+        "params",
+        "environment",
+        "piece",
+        "events",
+        "simulation",
+        "lanes.hints",
+    },
     "accuracy": {"inputs", "params", "piece", "events", "metrics", "simulation"},
 }
 # Rooms, each with all rooms that it may import: cli -> {paper, figures} -> runner -> {reduce,

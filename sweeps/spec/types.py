@@ -1,5 +1,6 @@
 """The records of a sweep file: a Sweep and its tables."""
 
+import math
 from typing import Annotated, Any, Literal, Self, cast
 
 import numpy as np
@@ -14,7 +15,8 @@ from pydantic import (
     model_validator,
 )
 
-from fic_jax import CHOICES, METRICS, Model, Params
+from fic_jax import CHOICES, METRICS, QUANTITIES, Model, Params
+from fic_jax.display import Displayed, Row, Table
 
 MAX_AXIS = 10_000_000  # values of one axis: memory holds them all, but never the grid
 MAX_PERIODS = 1_000_000  # values of a `period` axis: each is compared with dt
@@ -31,6 +33,7 @@ MAX_STEPS = 100_000_000  # plant steps: the engine counts them in int32
 PIECE = 1_000_000  # values computed at once: extended precision takes 16 bytes for each
 RANGES = 2  # version of the values of a range; raise it with a change of any bit
 ROUNDING = 4 * float(np.finfo(float).eps)  # relative: values closer than this are one value
+MOST_LISTED = 6  # values of a list that a summary shows
 DIGITS = 12  # most digits of a decimal that a person writes
 # Fields that share a check with another field: xb > x0, K0 x0 > Fmax, the stiffest scenario.
 COUPLED = ("K0", "Fmax", "x0", "xb", "S", "I", "Kenv", "Denv")
@@ -65,6 +68,10 @@ class Range(Record):
             raise ValueError("between ends whose difference is finite")
         return self
 
+    def __str__(self) -> str:
+        low, high = self.ends
+        return f"{low:.6g} to {high:.6g}" + (", log" if self.log else "")
+
     @property
     def ends(self) -> tuple[float, float]:
         return cast(tuple[float, float], self.log or self.lin)
@@ -94,6 +101,9 @@ class SpacedRange(Range):
     """`n` values evenly spaced over a range, both ends included."""
 
     n: Count
+
+    def __str__(self) -> str:
+        return f"{self.n:,} values, {super().__str__()}"
 
     def values(self, part: slice = slice(None)) -> np.ndarray:
         """The values at the indices `part`; a value does not depend on `part`.
@@ -167,6 +177,18 @@ Choice = Annotated[
     Annotated[str, Tag("text")] | Annotated[Names, Tag("list")],
     Discriminator(lambda given: "list" if isinstance(given, list) else "text"),
 ]
+
+
+def _row(name: str, text: str) -> Row:
+    """A field or a choice with its values."""
+    about = QUANTITIES.get(name, {"unit": "1", "meaning": "choice of the model"})
+    return Row(name, text, about["unit"].removesuffix("1"), about["meaning"])
+
+
+def _listed(values: list[float]) -> str:
+    """Some numbers; of many the first and the last."""
+    texts = [f"{value:.6g}" for value in values]
+    return ", ".join(texts) if len(texts) <= MOST_LISTED else f"{texts[0]}, ..., {texts[-1]}"
 
 
 class Time(Record):
@@ -258,7 +280,7 @@ class Refinement(Record):
     relative: Annotated[dict[str, Tolerance], Field(max_length=MAX_NAMES)] = {}
 
 
-class Sweep(Record):
+class Sweep(Displayed, Record):
     """A sweep file. With the program and the precision it determines every number of a store."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
@@ -326,6 +348,27 @@ class Sweep(Record):
     def defaults(self) -> list[str]:
         """Those of `held` that the file does not name."""
         return [name for name in self.held() if name not in {*self.constants, *self.model}]
+
+    def _table(self) -> Table:
+        cells, n_steps = math.prod(self.dims.values()), f"{self.n_steps:,} steps"
+        dims = " x ".join(f"{name} {n}" for name, n in self.dims.items())
+        title = f"Sweep {self.name}: {dims} = {cells:,} scenarios of {n_steps}"
+        held, defaults = self.held(), self.defaults()
+        texts = {name: ", ".join(c) for name, c in self.model.items() if isinstance(c, list)}
+        texts |= {name: str(axis) for name, axis in self.axes.items() if isinstance(axis, Range)}
+        texts |= {name: _listed(axis) for name, axis in self.axes.items() if isinstance(axis, list)}
+        texts |= {name: f"{_listed(column)} (case)" for name, column in self.cases.items()}
+        if self.sample:
+            drawn = self.sample.ranges.items()
+            texts |= {name: f"{range_}, {self.sample.method}" for name, range_ in drawn}
+        texts |= {n: f"{v:.6g}" if n in QUANTITIES else str(v) for n, v in held.items()}
+        rows = {name: _row(name, text) for name, text in texts.items()}
+        time = [Row("dt", f"{self.time.dt:g}", "s"), Row("t_end", f"{self.time.t_end:g}", "s")]
+        own = [row for name, row in rows.items() if name not in defaults]
+        if self.reduce:
+            best = f"; best {self.reduce.best} by {self.reduce.by}" if self.reduce.best else ""
+            own.append(Row("reduce", f"over {', '.join(self.reduce.over)}{best}"))
+        return Table(title, own + time, "by default", [rows[name] for name in defaults])
 
     def axis_values(self, name: str, part: slice = slice(None)) -> np.ndarray:
         """Values of an axis at the indices `part`."""

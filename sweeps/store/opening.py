@@ -4,6 +4,7 @@ import json
 import os
 import re
 import stat
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 import zarr
 
+from fic_jax import display
 from sweeps.plan.grid import Grid, cells_of
 from sweeps.plan.shard import RULE, Shard
 from sweeps.spec.mistakes import SweepError, command, printable
@@ -55,14 +57,30 @@ Entry = TypeVar("Entry")
 CODECS = {"bytes", "blosc", "crc32c", "vlen-utf8"}
 
 
-@dataclass(frozen=True)
-class Store:
+@dataclass(frozen=True, repr=False)
+class Store(display.Displayed):
     """An open store: where it is, its plan, its arrays, its ledger."""
 
     path: Path
     grid: Grid
     group: zarr.Group
     ledger: Ledger | None  # None in format 1
+
+    def _table(self) -> display.Table:
+        sweep = self.grid.sweep
+        dims = " x ".join(f"{name} {n}" for name, n in self.grid.dims.items())
+        try:
+            cells = [display.Row(name, f"{n:,}") for name, n in Counts.of(self).cells.items() if n]
+        except Exception as error:  # damaged or gone: the line says it
+            cells = [display.Row("cells", str(error).splitlines()[0])]
+        rows = [
+            display.Row("sweep", f"{sweep.name}: {dims}, {self.dtype}"),
+            *cells,
+            display.Row(
+                "variables", textwrap.shorten(", ".join(self.variables), 70, placeholder=" ...")
+            ),
+        ]
+        return display.Table(f"Store {self.path}; xarray.open_zarr(store.path) reads it", rows)
 
     @property
     def dtype(self) -> str:

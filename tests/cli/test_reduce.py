@@ -1,8 +1,6 @@
 """`fic-sweep reduce`, and what one can get wrong about a reduction."""
 
-import re
 import subprocess
-from pathlib import Path
 
 import pytest
 
@@ -22,7 +20,6 @@ over = ["Td"]
 max = ["nmse"]
 share = { easy = "nmse < 1" }
 """
-PAGE = Path(__file__).parents[2] / "docs" / "reduce.md"
 
 
 @pytest.fixture
@@ -212,19 +209,6 @@ def test_a_killed_run_is_resumed_with_the_same_bits(small):
     run.wait()
     call("resume", "small.zarr", code=0, folder=small)
     assert bits(small / "small.zarr") == bits(small / "whole.zarr")
-
-
-def test_the_example_of_the_docs_runs(small):
-    page = PAGE.read_text(encoding="utf-8")
-    toml, python = (
-        re.findall(rf"```{kind}\n(.*?)```", page, re.DOTALL) for kind in ("toml", "python")
-    )
-    Path("worst.toml").write_text(toml[0])
-    call("run", "worst.toml", code=0, folder=small)
-    exec(python[0], scope := {})
-    assert scope["answer"].dims == ("K0", "Kenv")
-    commands = re.findall(r"^(fic-sweep reduce .*(?:\\\n.*)*)", page, re.MULTILINE)
-    assert commands and "--over Denv,Td" in commands[0]
 
 
 def test_a_store_with_missing_scenarios_is_not_reduced_unless_asked(run, monkeypatch):
