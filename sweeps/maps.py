@@ -1,6 +1,7 @@
 """What a picture of a metric shows, whoever draws it: symbols, scales, colours, borders."""
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +79,22 @@ def limits(metric: str, values: NDArray[np.float64]) -> tuple[float, float, bool
         low, high = low - 0.1 * (abs(low) or 1.0), high + 0.1 * (abs(high) or 1.0)
         low = 0.0 if metric in ERRORS else low  # an error is not negative
     return low, high, False
+
+
+def edges_of(values: NDArray[Any], scale: str) -> NDArray[np.float64]:
+    """Cell edges midway between ascending values on the scale; outer cells are symmetric."""
+    if scale == "category" or len(values) == 1:
+        return np.arange(len(values) + 1, dtype=np.float64) - 0.5
+    numbers = values.astype(np.float64)
+    points: NDArray[np.float64] = np.log(numbers) if scale == "log" else numbers
+    inner = (points[:-1] + points[1:]) / 2
+    first, last = 2 * points[0] - inner[0], 2 * points[-1] - inner[-1]
+    edges = np.concatenate([[first], inner, [last]]).astype(np.float64)
+    if scale == "log":
+        return np.asarray(np.exp(edges), dtype=np.float64)
+    if points[0] > 0:
+        edges[0] = max(edges[0], 0.0)  # a positive quantity has no negative edge
+    return edges
 
 
 def sides(
