@@ -61,7 +61,7 @@ def motion(scenario: Scenario) -> Motion:
     """
     n = scenario.n_steps
     every = -(-n // MOST_SAMPLES)
-    steps = np.append(np.arange(every - 1, n, every), n).astype(np.int32)
+    steps = np.append(np.arange(n - 1, -1, -every)[::-1], n).astype(np.int32)
     dtype = np.asarray(scenario.params.K0).dtype
     columns = [np.full(steps.size, v, dtype) for v in vars(scenario.params).values()]
     mapped = _program(scenario.model, n)

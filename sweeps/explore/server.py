@@ -1,11 +1,13 @@
 """The server: on this machine alone unless asked, and for its own pages alone."""
 
 import asyncio
+import errno
 import ipaddress
 import logging
 import socket
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from io import BytesIO
 from typing import Any
 from urllib.parse import urlencode, urlsplit
@@ -17,14 +19,13 @@ from bokeh.server.server import BaseServer
 from bokeh.server.tornado import BokehTornado
 from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
-from tornado.netutil import bind_sockets
 from tornado.web import ErrorHandler, RequestHandler
 
 from sweeps.explore.page import Page
 from sweeps.explore.source import Source
 from sweeps.explore.view import View, ViewError, parse
 from sweeps.explore.worker import Stale, Worker
-from sweeps.spec.mistakes import SweepError
+from sweeps.spec.mistakes import SweepError, printable
 
 LOOPBACK = "127.0.0.1"
 PORT = 5170  # unless it is in use: a link then works again after a new start
@@ -85,30 +86,36 @@ def own_host(address: str, port: int) -> Callable[[str], bool]:
     return own
 
 
-def bound(host: str, port: int | None) -> tuple[list[socket.socket], str, int]:
-    """Sockets, address and port. Raises SweepError for a port in use or a host that is not here.
+def bound(host: str, port: int | None) -> tuple[socket.socket, str, int]:
+    """A socket that listens, its address and port; without a port it is PORT, or a free one.
 
-    Without a port it is PORT, or a free one.
+    Raises SweepError for a port in use or a host that is not here.
     """
     try:
-        address = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0][4][0]
-    except (OSError, UnicodeError):
-        raise SweepError(f"--host {host}: is no address or name of this machine") from None
-    for tried in (PORT, 0) if port is None else (port,):
-        try:
-            sockets = bind_sockets(tried, str(address))
-        except OSError as error:
-            if port is None and tried:
-                continue
-            if isinstance(error, PermissionError):
-                why = "needs the rights of root; --port 0 chooses a free port"
-            elif "assign" in str(error).lower():
-                raise SweepError(f"--host {host}: is no address of this machine") from None
-            else:
-                why = "is in use; --port 0 chooses a free one"
-            raise SweepError(f"--port {tried}: {why}") from None
-        return sockets, str(address), sockets[0].getsockname()[1]
-    raise AssertionError
+        family, *_, place = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
+    except (OSError, ValueError):
+        raise SweepError(f"--host {printable(host)}: is no address or name of a machine") from None
+    address = str(place[0])
+    if port is None:
+        with suppress(SweepError):
+            return _listening(family, host, address, PORT)
+    return _listening(family, host, address, port or 0)
+
+
+def _listening(
+    family: socket.AddressFamily, host: str, address: str, port: int
+) -> tuple[socket.socket, str, int]:
+    try:
+        made = socket.create_server((address, port), family=family)
+    except OSError as error:
+        wrong = {
+            errno.EADDRINUSE: f"--port {port}: is in use; --port 0 chooses a free one",
+            errno.EACCES: f"--port {port}: is for root alone; --port 0 chooses a free one",
+            errno.EADDRNOTAVAIL: f"--host {host}: is no address of this machine",
+        }
+        raise SweepError(wrong.get(error.errno or 0, f"--host {host}: {error}")) from None
+    made.setblocking(False)
+    return made, address, made.getsockname()[1]
 
 
 class Views(RequestHandler):  # type: ignore[misc]
@@ -184,7 +191,7 @@ def serve(source: Source, host: str, port: int | None, opened: Callable[[str], N
         made = Page(document, source, worker, quick, urlencode(pairs))
         document.on_session_destroyed(lambda _: made.close())
 
-    sockets, address, port = bound(host, port)
+    listening, address, port = bound(host, port)
     app = Guarded(
         {"/": Application(FunctionHandler(page))},
         extra_patterns=[
@@ -206,7 +213,7 @@ def serve(source: Source, host: str, port: int | None, opened: Callable[[str], N
     )
     app.hosts = own_host(address, port)
     http = HTTPServer(app, max_body_size=LARGEST_REQUEST, max_header_size=LARGEST_REQUEST)
-    http.add_sockets(sockets)
+    http.add_socket(listening)
     server = BaseServer(loop, app, http)
     server.start()
     shown = LOOPBACK if address in ("0.0.0.0", "::") else address
