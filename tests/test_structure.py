@@ -69,7 +69,9 @@ ROOMS = {
     "sweeps.merge": {*STORE, "sweeps.provenance"},
     "sweeps.export": STORE,
     "sweeps.paper": {*RUNNER, "sweeps.paper", "sweeps"},  # sweeps: where its library is
-    "figures": {*STORE, "figures"},
+    "sweeps.maps": {"sweeps.store"},
+    "sweeps.explore": {*RUNNER, "sweeps.maps", "sweeps.explore", "figures"},
+    "figures": {*STORE, "sweeps.maps", "figures"},
     "figures.paper": {*STORE, "figures", "sweeps.paper.scenarios"},
     "benchmarks": {*RUNNER, "sweeps.processor", "benchmarks", "figures"},
     "benchmarks.__main__": {"sweeps.cli"},  # `python -m benchmarks` is `fic-sweep bench`
@@ -79,6 +81,7 @@ ROOMS = {
         *RUNNER,
         "sweeps",
         "sweeps.cluster",
+        "sweeps.explore",
         "sweeps.export",
         "sweeps.merge",
         "sweeps.paper",
