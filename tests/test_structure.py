@@ -71,6 +71,7 @@ ROOMS = {
     "sweeps.paper": {*RUNNER, "sweeps.paper", "sweeps"},  # sweeps: where its library is
     "sweeps.maps": {"sweeps.store"},
     "sweeps.explore": {*RUNNER, "sweeps.maps", "sweeps.explore", "figures"},
+    "sweeps.share": {*RUNNER, "sweeps.maps", "sweeps.explore", "sweeps.share"},
     "figures": {*STORE, "sweeps.maps", "figures"},
     "figures.paper": {*STORE, "figures", "sweeps.paper.scenarios"},
     "benchmarks": {*RUNNER, "sweeps.processor", "benchmarks", "figures"},
@@ -85,6 +86,7 @@ ROOMS = {
         "sweeps.export",
         "sweeps.merge",
         "sweeps.paper",
+        "sweeps.share",
         "benchmarks",
         "sweeps.cli",
         "figures",
