@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from sweeps.explore.stored import Stored
+    from sweeps.explore.view import View
 
 At = Annotated[
     list[str] | None,
@@ -161,6 +162,8 @@ def share(
             help="may be repeated: a cell whose motion is drawn; default: best, median, worst",
         ),
     ] = None,
+    x: Annotated[str | None, typer.Option(help="horizontal axis of the first map")] = None,
+    y: Annotated[str | None, typer.Option(help="its vertical axis")] = None,
     out: NewFile = None,
     size: Annotated[float, typer.Option(metavar="MB", help="most megabytes of the file")] = 10.0,
     force: Force = False,
@@ -186,16 +189,17 @@ def share(
         source = Stored(path)
         if getattr(source.grid.sweep, "refine", None):
             refuse(f"{path}: is refined, and a page has no boxes; `fic-sweep plot` draws them")
-        named = _pinned(source, pin)
-        metrics = _shared_metrics(source, metric)
+        named = _pinned(path, source, pin)
+        metrics = _shared_metrics(path, source, metric)
+        view = _first_map(path, source, metrics[0], x, y)
         copy = copied(source, metrics, [index for _, index in named], most)
     if source.has_motion:
         runner.configure(int(source.dtype.removeprefix("float")), "cpu")
-        pins = simulated(source, named or choose(source, copy, metrics[0]))
+        pins = simulated(source, named or choose(copy, view))
     else:
         pins = []
     now = datetime.now(UTC)
-    content = check_size(page(source, copy, pins, metrics[0], record(source.store), now), size)
+    content = check_size(page(source, copy, pins, view, record(source.store), now), size)
     _replace(target, content)
     cells = counted(copy.cells, "cell")
     print(f"wrote {target}, {len(content) / 1e6:.2g} MB, {cells} of {source.grid.cells:,}")
@@ -228,38 +232,58 @@ def _refuse_existing(target: Path | None, force: bool) -> None:
         refuse(f"{target}: exists already; --force replaces it, --out names another")
 
 
-def _pinned(source: "Stored", texts: list[str] | None) -> list[tuple[str, tuple[int, ...]]]:
+def _pinned(
+    path: Path, source: "Stored", texts: list[str] | None
+) -> list[tuple[str, tuple[int, ...]]]:
     """The cells that `--pin` names, each once, with their indices in the store."""
     from figures.history import select
     from sweeps.share.pins import MOST_PINS
     from sweeps.store.opening import dataset
 
     if texts and not source.has_motion:
-        refuse(f"{source.path}: is reduced, and a cell of it has no motion to pin")
+        refuse(f"{path}: is reduced, and a cell of it has no motion to pin")
     found: dict[tuple[int, ...], str] = {}
     for text in texts or ():
         values = _values([text], None, "--pin")
-        with _plot_errors_refused(source.path):
-            ((cell, index),) = select(dataset(source.path), [_single(values, "--pin")])
-        _warn_of_nearest(source.path, values, [cell.cut])
+        with _plot_errors_refused(path):
+            ((cell, index),) = select(dataset(path), [_single(values, "--pin")])
+        _warn_of_nearest(path, values, [cell.cut])
         found.setdefault(index, text)
     if len(found) > MOST_PINS:
         refuse(f"--pin: {len(found)} cells are too many to tell apart: name up to {MOST_PINS}")
     return [(name, index) for index, name in found.items()]
 
 
-def _shared_metrics(source: "Stored", names: list[str] | None) -> list[str]:
+def _shared_metrics(path: Path, source: "Stored", names: list[str] | None) -> list[str]:
     """The metrics of a page, the one shown first: all but error estimates by default."""
     from figures.cut import require_metric
     from sweeps.store.format import ERRORS
     from sweeps.store.opening import dataset
 
-    with _plot_errors_refused(source.path):
+    with _plot_errors_refused(path):
         for name in names or ():
-            require_metric(name, dataset(source.path))
+            require_metric(name, dataset(path))
     first = source.start.metric
     metrics = [first, *(name for name in source.space.metrics if name not in ERRORS)]
     return list(dict.fromkeys(names or metrics))
+
+
+def _first_map(path: Path, source: "Stored", metric: str, x: str | None, y: str | None) -> "View":
+    """What a page shows first."""
+    from dataclasses import replace
+
+    from figures.cut import require_dimension
+    from sweeps.store.opening import dataset
+
+    view = replace(source.start, metric=metric)
+    with _plot_errors_refused(path):
+        for side, name in (("x", x), ("y", y)):
+            if name is not None:
+                require_dimension(name, dataset(path), metric)
+                view = source.with_axis(view, side, name)
+    if x is not None and x == y:
+        refuse(f"--x {x} --y {y}: must be two dimensions")
+    return view
 
 
 def _replace(target: Path, content: bytes) -> None:

@@ -4,7 +4,7 @@ import base64
 import math
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -90,7 +90,7 @@ def copied(
         copy = read(source, metrics, chosen, pinned, bits)
         if copy.size > most and bits == MANTISSA:
             bits = KEPT_BITS
-            copy = Copy(**vars(copy) | {"bits": bits})
+            copy = replace(copy, bits=bits)
         if copy.size <= most:
             return copy
         if chosen == smallest:

@@ -275,7 +275,11 @@
   };
 
   const read = (cell) => {
-    if (!cell) return $("readout").replaceChildren();
+    if (!cell) {
+      $("readout").textContent =
+        "Point at the map to read the values of a cell; click it, or use the arrow keys, to keep one.";
+      return;
+    }
     const k = offset(view, ...cell);
     const where = about.dims.map((dim) => {
       const i = dim.name === view.x ? cell[0] : dim.name === view.y ? cell[1] : view.at[dim.name];
@@ -334,7 +338,7 @@
       view.at[dim.name] = Number(slider.value);
       show();
     });
-    const row = element("div", { className: "field", title: dim.meaning }, labelled(dim), slider, shown);
+    const row = element("div", { className: "field", title: dim.meaning }, labelled(dim), shown, slider);
     refresh.push(() => {
       slider.value = view.at[dim.name];
       shown.textContent = dim.texts[view.at[dim.name]];

@@ -19,7 +19,7 @@ from sweeps.explore.cells import REASONS, Map, label, printed, text, ticks, unit
 from sweeps.explore.motion_figures import LOOKS
 from sweeps.explore.picture import HATCHES, MARKS, colour_ends, logarithmic, shades
 from sweeps.explore.stored import Stored
-from sweeps.explore.view import Value
+from sweeps.explore.view import Value, View
 from sweeps.share.coarse import MANTISSA, Copy
 from sweeps.share.pins import Pin, middle
 from sweeps.spec.mistakes import SweepError
@@ -27,14 +27,14 @@ from sweeps.store.format import bound
 from sweeps.store.opening import Counts
 
 MEGABYTE = 1_000_000  # bytes
-ROOM = 180_000  # bytes for all but the copy: the page has 50,000, four motions up to 120,000
+ROOM = 200_000  # bytes for all but the copy: the page has 50,000, four motions up to 150,000
 
 
 def page(
     source: Stored,
     copy: Copy,
     pins: Sequence[Pin],
-    metric: str,
+    view: View,
     record: Sequence[tuple[str, str]],
     when: datetime,
 ) -> str:
@@ -43,7 +43,7 @@ def page(
     What comes from the store is escaped, and a policy in the page lets no other script run and
     nothing be loaded.
     """
-    about = description(source, copy, pins, metric)
+    about = description(source, copy, pins, view)
     data = {**copy.encoded}
     for i, pin in enumerate(pins):
         data |= {f"pin-{i}-{name}": signal for name, signal in pin.signals.items()}
@@ -114,12 +114,11 @@ def _ordinal(n: int) -> str:
     return f"{n:,}{ending}"
 
 
-def description(source: Stored, copy: Copy, pins: Sequence[Pin], metric: str) -> dict[str, Any]:
+def description(source: Stored, copy: Copy, pins: Sequence[Pin], view: View) -> dict[str, Any]:
     """All that the script needs beside the arrays."""
-    start = source.start
     first = places(copy, pins[0]) if pins else middle(copy)
     return {
-        "start": {"metric": metric, "x": start.x, "y": start.y, "at": first},
+        "start": {"metric": view.metric, "x": view.x, "y": view.y, "at": first},
         "metrics": [_metric(source, copy, name) for name in copy.metrics],
         "dims": [_dimension(source, copy, dim) for dim in copy.kept],
         "reasons": REASONS,
@@ -136,8 +135,7 @@ def description(source: Stored, copy: Copy, pins: Sequence[Pin], metric: str) ->
                     f"{dim} = {shown_value(source, dim, pin.index[i])}"
                     for i, dim in enumerate(copy.kept)
                 ],
-                "values": pin.values,
-                "nmse": float(pin.motion.metrics.nmse),
+                "nmse": pin.nmse,
                 "note": pin.note,
                 "Td": float(pin.motion.scenario.params.Td),
                 "gap": float(pin.motion.scenario.params.gap),
@@ -231,10 +229,9 @@ def check_size(content: str, megabytes: float) -> bytes:
 
 def room_for_copy(megabytes: float) -> int:
     """Bytes that a file has for the copy. Raises SweepError if there are none."""
-    left = int(megabytes * MEGABYTE) - ROOM
-    if left <= 0:
+    if not ROOM < megabytes * MEGABYTE < math.inf:
         raise SweepError(
             f"--size {megabytes:g}: must be more than {ROOM / MEGABYTE:g} MB, which the page takes "
             "without its data"
         )
-    return left
+    return int(megabytes * MEGABYTE) - ROOM

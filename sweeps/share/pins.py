@@ -2,15 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from fic_jax import TRUST, Params, sweep
 from sweeps import maps
 from sweeps.explore.cells import Row
 from sweeps.explore.motion import Motion, Scenario, motion
 from sweeps.explore.motion_figures import COLUMNS, LOOKS, columns
 from sweeps.explore.stored import Stored
+from sweeps.explore.view import View
 from sweeps.share.coarse import Copy, encoded
 
 MOST_PINS = len(LOOKS)  # lines that a reader can tell apart
@@ -23,8 +24,9 @@ class Pin:
     name: str  # why it is pinned
     index: tuple[int, ...]  # in the store
     motion: Motion
-    values: list[Row]
-    note: str  # what differs between the store and this program; or nothing
+    nmse: float  # of the cell
+    values: list[Row]  # in the store
+    note: str  # what differs from the store, or in the motion; or nothing
 
     @property
     def signals(self) -> dict[str, str]:
@@ -32,15 +34,15 @@ class Pin:
         return {n: encoded(v) for n, v in columns(self.motion).items() if n in COLUMNS}
 
 
-def choose(source: Stored, copy: Copy, metric: str) -> list[tuple[str, tuple[int, ...]]]:
+def choose(copy: Copy, view: View) -> list[tuple[str, tuple[int, ...]]]:
     """The best, the median and the worst trusted cell of the first map, as places in the store.
 
     Without error estimates all cells that have a number count. Where the first map has none, the
     whole copy is searched.
     """
-    shown, axes = copy.metrics[metric], (source.start.x, source.start.y)
+    metric, shown = view.metric, copy.metrics[view.metric]
     good, first = shown.codes == 0, middle(copy)
-    here = tuple(slice(None) if dim in axes else i for dim, i in first.items())
+    here = tuple(slice(None) if dim in (view.x, view.y) else i for dim, i in first.items())
     if good[here].any():
         on_map = np.zeros(good.shape, bool)
         on_map[here] = True
@@ -69,17 +71,30 @@ def simulated(source: Stored, cells: Sequence[tuple[str, tuple[int, ...]]]) -> l
     """The pins at some cells, by the program that computes sweeps."""
     pins = []
     for name, index in cells:
-        block = tuple(slice(i, i + 1) for i in index)
-        one = motion(Scenario.of(source.grid, block, source.dtype))
+        scenario = Scenario.of(source.grid, tuple(slice(i, i + 1) for i in index), source.dtype)
+        one, nmse = motion(scenario), cell_nmse(scenario)
         place = {
-            dim: source.axes[dim].value(source.axes[dim].index(_value(values[i])))
+            dim: str(values[i]) if values.dtype.kind == "U" else float(values[i])
             for (dim, values), i in zip(source.coordinates.items(), index, strict=True)
         }
         rows = source.values(place, {})
-        note = source.disagreement(rows, {"nmse": float(one.metrics.nmse)})
-        pins.append(Pin(name, index, one, rows, note))
+        note = source.disagreement(rows, {"nmse": nmse}) or differs(float(one.metrics.nmse), nmse)
+        pins.append(Pin(name, index, one, nmse, rows, note))
     return pins
 
 
-def _value(value: Any) -> float | str:
-    return str(value) if isinstance(value, str) else float(value)
+def cell_nmse(scenario: Scenario) -> float:
+    """nmse of a scenario as a sweep computes it, to the last bit."""
+    params = Params(**{name: np.reshape(v, 1) for name, v in vars(scenario.params).items()})
+    found = sweep(params, model=scenario.model, dt=scenario.dt, n_steps=scenario.n_steps)
+    return float(found.nmse[0])
+
+
+def differs(drawn: float, nmse: float) -> str:
+    """What to say if the drawn motion has another nmse than its cell, by more than its trust.
+
+    The program that also returns the signals rounds a few operations in another way.
+    """
+    if abs(drawn - nmse) <= max(TRUST["nmse"].part * nmse, TRUST["nmse"].floor):
+        return ""
+    return f"This cell hangs on rounding: the drawn motion has nmse = {drawn:.6g}."
