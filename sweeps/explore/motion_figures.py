@@ -68,7 +68,7 @@ class MotionFigures:
 
     def _figure(self, name: str, x: str, y: str) -> figure:
         look: dict[str, Any] = {"tools": "", "toolbar_location": None, "min_border": 8}
-        f = figure(name=name, height=170, sizing_mode="stretch_width", **look)
+        f = figure(name=name, visible=False, height=170, sizing_mode="stretch_width", **look)
         for source, line in zip(self.sources, LOOKS, strict=True):
             if name == "branch":
                 f.step(x, y, source=source, mode="before", **line)
@@ -89,6 +89,8 @@ class MotionFigures:
             data: dict[str, Any] = columns(motion) if motion else {n: [] for n in COLUMNS}
             if motion or len(source.data["t"]):
                 source.data = data
+        for f in self.figures.values():
+            f.visible = any(motions)
         if motions and (first := motions[0]):
             self.Td.location = float(first.scenario.params.Td)
             self.gap.location = float(first.scenario.params.gap)

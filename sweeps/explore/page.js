@@ -17,7 +17,6 @@
   const send = (event) => {
     count += 1;
     model("events").data = { json: [JSON.stringify({ ...event, n: count })] };
-    $("state").textContent = "";
   };
   // A slider moves faster than maps come: one event is on its way, the newest one waits.
   let waiting = null;
@@ -223,13 +222,14 @@
       $("readout").replaceChildren(...(said.readout ? rows_of(said.readout) : []));
     $("motions").replaceChildren(...said.motions.map(motion_of));
     $("hint").hidden = said.motions.length > 0;
+    $("plots").hidden = said.motions.length === 0;
     $("undo").disabled = !said.undo;
     $("unpin").disabled = !said.view.pins;
     $("pin").disabled = !said.view.cell;
     $("state").textContent = said.running ? "The sweep is running; its cells appear as they are done." : "";
     history.replaceState(null, "", `?${said.query}`);
     for (const kind of ["png", "svg"]) $(kind).href = `picture.${kind}?${said.query}`;
-    answered();
+    if (!before || before.maps !== said.maps || said.notice) answered();
   };
 
   // ---- pointer, keys, copies
@@ -237,7 +237,7 @@
   let last_hover = 0;
   const pointer = (event) => {
     const { x, y } = event;
-    if (event.event_name === "tap") {
+    if (event.event_name.endsWith("tap")) { // a quick second click is a double one
       send({ do: "tap", x, y, pin: Boolean(event.modifiers?.shift) });
       $("map").focus({ preventScroll: true });
     } else if (event.event_name === "mouseleave") send({ do: "leave" });
@@ -265,7 +265,8 @@
   const copy = async (what, text) => {
     try {
       await navigator.clipboard.writeText(text);
-      $("state").textContent = `${what} is copied.`;
+      $("copied").textContent = `${what} is copied.`;
+      setTimeout(() => { $("copied").textContent = ""; }, 4000);
     } catch { // a browser gives the clipboard to https and to this machine alone
       $("copy").querySelector("textarea").value = text;
       $("copy").showModal();
@@ -281,7 +282,14 @@
   $("python").addEventListener("click", copy_from("The Python program", "view.py"));
   $("toml").addEventListener("click", copy_from("The sweep file", "view.toml"));
 
-  window.explorer = { hear, pointer, said: () => said };
+  // The address has the whole view: once the program answers again, the page is as it was.
+  const lost = () => {
+    $("notice").textContent =
+      "The connection to the program is lost. If it has ended, start it again: this page waits for it.";
+    const again = () => fetch("view.toml").then(() => location.reload(), () => setTimeout(again, 1000));
+    setTimeout(again, 500);
+  };
+  window.explorer = { hear, pointer, lost, said: () => said };
   const begin = () => {
     if (window.Bokeh?.documents?.length && model("words")) hear();
     else setTimeout(begin, 20);

@@ -56,7 +56,8 @@ class Page:
         self._motions: dict[str, Motion] = {}
         self._pending: dict[str, Callable[[], None]] = {}
         self._rest: Any = None
-        self.said: dict[str, Any] = {"notice": "", "legend": [], "motions": [], "readout": None}
+        self.said: dict[str, Any] = {"notice": "", "maps": 0, "fine": False, "legend": []}
+        self.said |= {"motions": [], "selected": None, "readout": None}
         try:
             self.view = parse(query, source.start, source.space, source.defaults)
             source.check(self.view)
@@ -70,12 +71,13 @@ class Page:
         self.events.on_change("data", self._receive)
         figures = [self.figure.figure, self.figure.colours, *self.motions.figures.values()]
         self.figure.figure.tags = [self.words, self.events]
-        for name in ("tap", "mousemove", "mouseleave"):
+        for name in ("tap", "doubletap", "mousemove", "mouseleave"):
             told = CustomJS(code="window.explorer && window.explorer.pointer(cb_obj)")
             self.figure.figure.js_on_event(name, told)
         self.words.js_on_change("data", CustomJS(code="window.explorer && window.explorer.hear()"))
         for figure in figures:
             document.add_root(figure)
+        document.js_on_event("connection_lost", CustomJS(code="window.explorer.lost()"))
         document.title = f"{source.title} - fic-sweep explore"
         document.template = template()
         document.template_variables.update(page_variables(source))
@@ -128,9 +130,13 @@ class Page:
         if self.map is None:
             return
         row, column = self.map.cell(x, y)
-        cell = (self.map.x.value(column), self.map.y.value(row))
-        view = self.view.pinned() if pin or cell == self.view.cell else self.view
-        self._select(view, cell)
+        view = self.view
+        again = view.cell and (row, column) == (
+            self.map.y.index(view.cell[1]),
+            self.map.x.index(view.cell[0]),
+        )
+        cell = view.cell if again else (self.map.x.value(column), self.map.y.value(row))
+        self._select(view.pinned() if pin or again else view, cell)
 
     def _on_move(self, dx: float, dy: float) -> None:
         if self.map is None:
@@ -181,6 +187,7 @@ class Page:
         self._settle_later()
 
     def _compute(self) -> None:
+        self.said["fine"] = False
         stages = self.source.stages()
         self.worker.submit((id(self), "map"), self._job(self.view, stages, None))
         self._move()
@@ -221,7 +228,8 @@ class Page:
                 self.history.views[-1] = self.view
         self.figure.show(found, self.view.colours or (0.0, 1.0))
         self._mark()
-        self._say(legend=legend(found), title=_title(found), notice="", fine=found.fine)
+        n = self.said["maps"] + 1
+        self._say(legend=legend(found), title=_title(found), notice="", fine=found.fine, maps=n)
 
     def _mark(self) -> None:
         """Mark the selected cell and the pins that lie on the map."""
@@ -246,6 +254,8 @@ class Page:
         """Simulate the selected cell and the pins."""
         view, places = self.view, [self.view.place(), *self.view.pins]
         key = (id(self), "motion")
+        if places == [None] and not self.said["motions"]:
+            return
         if places == [None] or not self.source.has_motion:
             self.quick.drop(key)
             self.motions.show([])

@@ -159,7 +159,7 @@ class MapFigure:
                 source=self.doubt,
                 **look,
             )
-        for ink, width in ((INK, 3.4), ("white", 1.6)):
+        for ink, width in ((INK, 2.8), ("white", 1.3)):
             f.segment(
                 "x0",
                 "y0",

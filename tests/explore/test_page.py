@@ -41,8 +41,8 @@ def stored(cube):
 
 
 @contextmanager
-def opened(browser, link, width=1280, height=900, **more):
-    """A page whose map is there. No script of it may fail."""
+def opened(browser, link, width=1280, height=900, complaints=(), **more):
+    """A page whose map is there. No script of it may fail, but with known complaints."""
     context = browser.new_context(viewport={"width": width, "height": height}, **more)
     page = context.new_page()
     page.set_default_timeout(WAIT)
@@ -52,12 +52,12 @@ def opened(browser, link, width=1280, height=900, **more):
     settle(page)
     yield page
     context.close()
-    assert not failed
+    assert [one for one in failed if not one.startswith(complaints)] == []
 
 
 def settle(page):
     """Wait for the map of the present view, the finest one."""
-    page.wait_for_function("window.explorer?.said()?.title && window.explorer.said().fine")
+    page.wait_for_function("window.explorer?.said()?.fine")
 
 
 def said(page):
@@ -95,10 +95,10 @@ def test_a_slider_changes_map_and_address(browser, live):
         slider.focus()
         for _ in range(4):
             slider.press("ArrowRight")
-        page.wait_for_function("Number(window.explorer.said().view.at.Td) > 5")
+        value = page.locator('input[name="Td"]').input_value()
+        page.wait_for_function(f"Number(window.explorer.said().view.at.Td) === {value}")
         settle(page)
         assert (pixels(page) != before).any()
-        value = page.locator('input[name="Td"]').input_value()
         assert f"Td={float(value)!r}" in page.url
         assert slider.get_attribute("aria-valuetext") == f"{value} N·m"
 
@@ -158,19 +158,20 @@ def test_a_copied_link_shows_the_same(browser, live):
     with opened(browser, f"{live}?{SHORT}&Td=8", **granted) as page:
         page.locator('select[name="Metric"]').select_option("peak_torque")
         page.wait_for_function("window.explorer.said().title.includes('peak_torque')")
+        settle(page)
         click(page, 0.5, 0.5)
         click(page, 0.5, 0.5)
         page.wait_for_function("window.explorer.said().view.pins === 1")
         settle(page)
         page.get_by_role("button", name="Copy link").click()
-        page.wait_for_function("document.getElementById('state').textContent.includes('copied')")
+        playwright.expect(page.locator("#copied")).to_contain_text("link", timeout=WAIT)
         link = page.evaluate("navigator.clipboard.readText()")
         image, words = pixels(page), said(page)
         page.get_by_role("button", name="Copy as sweep file").click()
-        page.wait_for_function("document.getElementById('state').textContent.includes('sweep')")
+        playwright.expect(page.locator("#copied")).to_contain_text("sweep file", timeout=WAIT)
         assert "Td = 8.0" in page.evaluate("navigator.clipboard.readText()")
     with opened(browser, link) as page:
-        motions(page, 1)
+        motions(page, 2)  # the cell, and the same cell pinned
         assert said(page)["view"] == words["view"]
         np.testing.assert_array_equal(pixels(page), image)
 
@@ -208,25 +209,30 @@ def test_a_narrow_screen_has_all_and_scrolls_down_alone(browser, live):
 def test_all_controls_have_names_and_are_reached_by_keys(browser, live):
     with opened(browser, f"{live}?{SHORT}") as page:
         nameless = """Array.from(document.querySelectorAll("input, select, button, a")).filter(
-            (one) => !(one.getAttribute("aria-label") || one.ariaLabel || one.textContent.trim()))"""
+            (one) => !(one.ariaLabel || one.labels?.length || one.textContent.trim()))"""
         assert page.evaluate(f"{nameless}.length") == 0
         reached = set()
         for _ in range(60):
             page.keyboard.press("Tab")
             code = "document.activeElement.name || document.activeElement.id"
             reached.add(page.evaluate(code))
-        assert {"undo", "map", "fit", "Metric", "slide.Td", "Td", "contact", "t_end"} <= reached
+        assert {"link", "map", "fit", "Metric", "slide.Td", "Td", "contact", "t_end"} <= reached
 
 
 def test_malformed_and_oversized_events_are_refused(browser, live):
-    with opened(browser, f"{live}?{SHORT}") as page:
+    bokeh = ("Failed to execute 'close' on 'WebSocket'",)
+    with opened(browser, f"{live}?{SHORT}", complaints=bokeh) as page:
         event = "Bokeh.documents[0].get_model_by_name('events').data = {json: [%s]}"
         page.evaluate(event % "'nonsense'")
         notice = page.get_by_role("alert")
         playwright.expect(notice).to_contain_text("an event that is none", timeout=WAIT)
         click(page, 0.5, 0.5)
         motions(page, 1)
-        page.evaluate(event % "'x'.repeat(100000)")  # the server closes the connection
+        page.evaluate(event % "'x'.repeat(100000)")  # the server hangs up, and the page comes back
+        with page.expect_navigation(timeout=WAIT):
+            pass
+        settle(page)
+        motions(page, 1)
     with opened(browser, f"{live}?{SHORT}") as page:
         click(page, 0.5, 0.5)
         motions(page, 1)
