@@ -133,7 +133,7 @@ def record(store: Store) -> list[tuple[str, str]]:
     attrs, rows = store.group.attrs.asdict(), [("name", store.grid.sweep.name)]
     for line in [f"{'sweep':{HEAD}}{_dims(store.grid)}", *status_lines(store)[1:]]:
         head, text = line[:HEAD].strip(), line[HEAD:].strip()
-        if line[HEAD - 1] != " ":  # a sentence without a head
+        if " " not in line[HEAD - 1 : HEAD + 1]:  # a sentence without a head
             head, _, text = line.partition(" ")
         if head:
             rows.append((head, text))

@@ -248,7 +248,7 @@ def _pinned(
         with _plot_errors_refused(path):
             ((cell, index),) = select(dataset(path), [_single(values, "--pin")])
         _warn_of_nearest(path, values, [cell.cut])
-        found.setdefault(index, text)
+        found.setdefault(index, f"pin {len(found) + 1}")
     if len(found) > MOST_PINS:
         refuse(f"--pin: {len(found)} cells are too many to tell apart: name up to {MOST_PINS}")
     return [(name, index) for index, name in found.items()]

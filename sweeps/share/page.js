@@ -83,6 +83,8 @@
       ? value.toExponential(digits - 1).replace(/\.?0+e/, "e") : String(plain);
     return text.replaceAll("-", "−");
   };
+  const breakable = (name) => // a line may end after each _
+    name.split("_").flatMap((part, i) => (i ? ["_", element("wbr"), part] : [part]));
   const percent = (part) =>
     part > 0 && part < 0.001 ? "<0.1 %" : part < 0.0995 && part > 0 ? `${(100 * part).toFixed(1)} %`
       : part < 1 && part >= 0.995 ? ">99 %" : `${(100 * part).toFixed(0)} %`;
@@ -291,7 +293,7 @@
       const value = reason ? one.words[reason] || reason : written(one.values[k]);
       const doubt = one.codes[k] & DOUBT ? "not trusted" : "";
       const exact = number ? { "data-exact": String(one.values[k]) } : {};
-      return element("tr", {}, element("th", { scope: "row", title: one.label }, one.name),
+      return element("tr", {}, element("th", { scope: "row", title: one.label }, ...breakable(one.name)),
         element("td", { "data-name": one.name, ...exact }, value),
         element("td", {}, [reason ? "" : one.unit, doubt].filter(Boolean).join(", ")));
     });
