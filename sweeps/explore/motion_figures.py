@@ -3,7 +3,7 @@
 from typing import Any
 
 import numpy as np
-from bokeh.models import ColumnDataSource, FixedTicker, Span
+from bokeh.models import ColumnDataSource, FixedTicker, Line, Span, Step
 from bokeh.plotting import figure
 
 from sweeps.explore.motion import Motion
@@ -71,9 +71,9 @@ class MotionFigures:
         f = figure(name=name, visible=False, height=170, sizing_mode="stretch_width", **look)
         for source, line in zip(self.sources, LOOKS, strict=True):
             if name == "branch":
-                f.step(x, y, source=source, mode="before", **line)
+                f.add_glyph(source, Step(x=x, y=y, mode="before", **line))
             else:
-                f.line(x, y, source=source, **line)
+                f.add_glyph(source, Line(x=x, y=y, **line))
         f.outline_line_color = INK
         for axis in (*f.xaxis, *f.yaxis):
             axis.minor_tick_line_color = None

@@ -291,8 +291,10 @@
   };
   window.explorer = { hear, pointer, lost, said: () => said };
   const begin = () => {
-    if (window.Bokeh?.documents?.length && model("words")) hear();
-    else setTimeout(begin, 20);
+    if (window.Bokeh?.documents?.length && model("words")) {
+      hear();
+      send({ do: "ready" });
+    } else setTimeout(begin, 20);
   };
   begin();
 })();

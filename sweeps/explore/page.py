@@ -75,8 +75,9 @@ class Page:
             told = CustomJS(code="window.explorer && window.explorer.pointer(cb_obj)")
             self.figure.figure.js_on_event(name, told)
         self.words.js_on_change("data", CustomJS(code="window.explorer && window.explorer.hear()"))
-        for figure in figures:
-            document.add_root(figure)
+        with document.models.freeze():  # else Bokeh walks through the page after each
+            for figure in figures:
+                document.add_root(figure)
         document.js_on_event("connection_lost", CustomJS(code="window.explorer.lost()"))
         document.title = f"{source.title} - fic-sweep explore"
         document.template = template()
@@ -85,7 +86,7 @@ class Page:
         if source.running:
             document.add_periodic_callback(self._poll, POLL)
         self._say()
-        self._compute()
+        self._compute(first=True)
 
     map: Map | None
 
@@ -109,6 +110,10 @@ class Page:
         except Exception:
             traceback.print_exc()
             self._say(notice="The program has failed at this; its terminal has the reason.")
+
+    def _on_ready(self) -> None:
+        if not self.said["fine"]:
+            self._compute()
 
     def _on_set(self, name: str, value: str) -> None:
         view = self.view
@@ -186,9 +191,11 @@ class Page:
         self._compute()
         self._settle_later()
 
-    def _compute(self) -> None:
+    def _compute(self, first: bool = False) -> None:
+        """Compute map and motions; first of all the coarse map alone, until the page is there."""
         self.said["fine"] = False
         stages = self.source.stages()
+        stages = stages[:1] if first else stages
         self.worker.submit((id(self), "map"), self._job(self.view, stages, None))
         self._move()
 
@@ -385,6 +392,7 @@ class Page:
 
 
 EVENTS: dict[str, dict[str, type]] = {  # event -> its values
+    "ready": {},
     "set": {"name": str, "value": str},
     "axis": {"side": str, "name": str},
     "tap": {"x": float, "y": float, "pin": bool},
