@@ -13,6 +13,7 @@ from sweeps.compile_cache import VARIABLE
 
 # Before JAX starts: the engine's XLA flags, and two devices on any machine.
 fic_jax.tune_for_throughput(2)
+jax.config.update("jax_platforms", "cpu")  # XLA on a GPU divides and sums with other bits
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")

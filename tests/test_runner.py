@@ -347,6 +347,7 @@ def test_configure_sets_precision_and_device(fresh):
 
 
 def test_configure_refuses_a_device_that_does_not_exist(fresh):
+    jax.config.update("jax_platforms", None)
     with pytest.raises(SweepError, match=r"^JAX [\d.]+ finds no abacus here; a GPU needs a driver"):
         runner.configure(32, "abacus")
 

@@ -52,7 +52,7 @@ def reduce(
     ] = None,
     untrusted: Annotated[
         float | None,
-        typer.Option(metavar="PART", help="of the cells that a value may lack; default: 0"),
+        typer.Option(metavar="PART", help="of the cells may be not run or not trusted; default: 0"),
     ] = None,
     out: NewStore = None,
     chunk: Annotated[int | None, typer.Option(min=1, help="most cells of a block")] = None,

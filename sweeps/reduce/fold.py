@@ -1,7 +1,7 @@
 """The statistics of a block of a reduced store.
 
-A scenario counts for a statistic if it ran, did not diverge and, with error estimates, is trusted
-for the metrics that the statistic needs. The others are counted by kind.
+A statistic is over the scenarios that ran and did not diverge. The others, and those that are not
+trusted for a metric that the statistic needs, are counted by kind; too many refuse the value.
 """
 
 import itertools
@@ -115,16 +115,17 @@ def _statistics(grid: Grid, box: Mapping[str, slice], cells: Cells) -> dict[str,
             named |= {k: rows(params[k]) if params[k].ndim else params[k] for k in fields}
         total.count(named["status"])
         for name, metrics in needs.items():
-            known = named["status"] == OK
+            used = named["status"] == OK
             for metric in metrics:
-                known &= ~np.isnan(named[metric])
-                if sweep.error_estimate:
-                    known &= named[f"{metric}_trusted"] == TRUSTED
-            total.judge(name, known)
+                used &= ~np.isnan(named[metric])
+            known = used.copy()
+            for metric in metrics if sweep.error_estimate else ():
+                known &= named[f"{metric}_trusted"] == TRUSTED
+            total.judge(name, used, known)
             if name in reduce.share:
-                total.hold(name, known & holds(reduce.share[name], named))
+                total.hold(name, used & holds(reduce.share[name], named))
             else:
-                total.fold(name, named[name], known, _places(over, part))
+                total.fold(name, named[name], used, _places(over, part))
     return total.results()
 
 
@@ -156,50 +157,51 @@ class Totals:
         self._add("ran", status == OK)
         self._add("diverged", status == DIVERGED)
 
-    def judge(self, name: str, known: Rows) -> None:
-        """Add the scenarios that a metric or condition may use."""
+    def judge(self, name: str, used: Rows, known: Rows) -> None:
+        """Add the scenarios that have a value of a metric or condition, and the trusted ones."""
+        self._add(f"{name} used", used)
         self._add(f"{name} known", known)
 
     def hold(self, name: str, true: Rows) -> None:
         """Add the scenarios for which a condition holds."""
         self._add(f"{name} true", true)
 
-    def fold(self, metric: str, values: Rows, known: Rows, places: np.ndarray) -> None:
-        """Add the known values of a metric, at `places` among all combinations."""
+    def fold(self, metric: str, values: Rows, used: Rows, places: np.ndarray) -> None:
+        """Add the values of a metric, at `places` among all combinations."""
         reduce = self.reduce
         if metric in reduce.max or metric == reduce.by:
-            self._extreme(f"{metric}_max", -values, known, places)
+            self._extreme(f"{metric}_max", -values, used, places)
         if metric in reduce.min:
-            self._extreme(f"{metric}_min", values, known, places)
+            self._extreme(f"{metric}_min", values, used, places)
         if metric in (*reduce.mean, *reduce.std):
-            self._moments(metric, values, known)
+            self._moments(metric, values, used)
         if metric in reduce.quantiles:
-            self.held.setdefault(metric, []).append(np.where(known, values, np.nan))
+            self.held.setdefault(metric, []).append(np.where(used, values, np.nan))
 
-    def _extreme(self, name: str, values: Rows, known: Rows, places: np.ndarray) -> None:
+    def _extreme(self, name: str, values: Rows, used: Rows, places: np.ndarray) -> None:
         """The smallest value and its first place; the order of the boxes does not matter."""
-        least = np.where(known, values, np.inf)
+        least = np.where(used, values, np.inf)
         first = np.argmin(least, axis=1)
         lowest = np.take_along_axis(least, first[:, None], 1)[:, 0]
-        infinite = np.isposinf(lowest)  # then the first known one is as small as any
-        first = np.where(infinite, np.argmax(known, axis=1), first)
-        # no place, beyond all others, where nothing is known
-        place = np.where(known.any(axis=1), places[first], self.combinations)
+        infinite = np.isposinf(lowest)  # then the first used one is as small as any
+        first = np.where(infinite, np.argmax(used, axis=1), first)
+        # no place, beyond all others, where nothing is used
+        place = np.where(used.any(axis=1), places[first], self.combinations)
         if name in self.extremes:
             before, there = self.extremes[name], self.places[name]
             earlier = (before < lowest) | ((before == lowest) & (there < place))
             lowest, place = np.where(earlier, before, lowest), np.where(earlier, there, place)
         self.extremes[name], self.places[name] = lowest, place
 
-    def _moments(self, metric: str, values: Rows, known: Rows) -> None:
+    def _moments(self, metric: str, values: Rows, used: Rows) -> None:
         """Sums of a box in double precision, merged as by Chan, Golub and LeVeque (1979)."""
-        n_before = self.counts[f"{metric} known"] - known.sum(axis=1)
-        n = known.sum(axis=1)
-        x = np.where(known, values, 0).astype(np.float64)
+        n_before = self.counts[f"{metric} used"] - used.sum(axis=1)
+        n = used.sum(axis=1)
+        x = np.where(used, values, 0).astype(np.float64)
         total = x.sum(axis=1)
         if metric in self.reduce.std:
             with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-                deviation = np.where(known, x - (total / n)[:, None], 0.0)
+                deviation = np.where(used, x - (total / n)[:, None], 0.0)
                 squares = (deviation**2).sum(axis=1)
                 if metric in self.sums:
                     apart = total / n - self.sums[metric] / n_before
@@ -222,16 +224,17 @@ class Totals:
             kinds = np.array([DIVERGED, UNTRUSTED, NOT_RUN])
             most = kinds[np.argmax([diverged, doubted, absent], axis=0)]
             missing = self.combinations - known
-            refused = (missing > reduce.untrusted * self.combinations) | (known == 0)
+            used = counts[f"{name} used"]
+            refused = (missing > reduce.untrusted * self.combinations) | (used == 0)
             out[f"{name}_status"] = np.where(refused, most, OK).astype(np.uint8)
         with np.errstate(invalid="ignore", divide="ignore"):
             for name in reduce.share:
-                out[f"{name}_share"] = counts[f"{name} true"] / counts[f"{name} known"]
+                out[f"{name}_share"] = counts[f"{name} true"] / counts[f"{name} used"]
             for metric, total in self.sums.items():
-                known = counts[f"{metric} known"]
-                out[f"{metric}_mean"] = total / known
+                used = counts[f"{metric} used"]
+                out[f"{metric}_mean"] = total / used
                 if metric in self.squares:
-                    spread = np.sqrt(self.squares[metric] / known)
+                    spread = np.sqrt(self.squares[metric] / used)
                     # a value that is infinite is infinitely far from the others
                     out[f"{metric}_std"] = np.where(np.isinf(total), np.inf, spread)
         for name, lowest in self.extremes.items():
@@ -241,9 +244,9 @@ class Totals:
             out[f"{name} place"] = np.where(nowhere, -1, self.places[name])
         for metric, boxes in self.held.items():
             ordered = np.sort(np.concatenate(boxes, axis=1), axis=1)  # NaN last
-            known = counts[f"{metric} known"]
+            used = counts[f"{metric} used"]
             for part in reduce.quantiles[metric]:
-                at = np.clip(np.ceil(known * part).astype(int) - 1, 0, None)
+                at = np.clip(np.ceil(used * part).astype(int) - 1, 0, None)
                 out[quantile(metric, part)] = np.take_along_axis(ordered, at[:, None], 1)[:, 0]
         return out
 
@@ -286,9 +289,10 @@ def _chosen(grid: Grid, reduce: Reduction, rows: dict[str, np.ndarray]) -> Value
 
 def _why_open(flat: Mapping[str, np.ndarray], by: str) -> np.ndarray:
     """The status of cells whose choice is open, because something of `by` is not known."""
-    doubted = flat[f"{by}_untrusted_share"] >= flat["not_run_share"]
-    within = np.where(doubted, UNTRUSTED, NOT_RUN)  # of what `untrusted` allows
-    return np.where(flat[f"{by}_status"] == OK, within, flat[f"{by}_status"])
+    status = flat[f"{by}_status"]
+    return np.where(
+        status == OK, NOT_RUN, status
+    )  # a scenario was not run, which `untrusted` allows
 
 
 def _of(reduce: Reduction, name: str) -> list[str]:
@@ -305,17 +309,17 @@ def _best(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Of each cell: the candidate, the best one or -1, its worst case, and whether it is refused.
 
-    The worst case of a candidate is the largest known value of `by`, infinite where a scenario
-    diverged. It is a lower bound if one is not known, whatever `untrusted` allows: otherwise the
-    choice would look for what is missing. If even that is larger than another worst case, the
-    choice does not depend on it; if it is the smallest, the cell is refused. Where all worst cases
-    are infinite none is best.
+    The worst case of a candidate is the largest value of `by`, trusted or not, infinite where a
+    scenario diverged. It is a lower bound if a scenario was not run, or if more than `untrusted`
+    are not trusted. If even that is larger than another worst case, the choice does not depend on
+    it; if it is the smallest, the cell is refused. Where all worst cases are infinite none is best.
     """
     worst = np.where(rows["diverged_share"] > 0, np.inf, rows[f"{reduce.by}_max"])
-    worst = np.where(np.isnan(worst), -np.inf, worst)  # nothing is known of it
+    worst = np.where(np.isnan(worst), -np.inf, worst)  # nothing of it was run
     lowest = worst.min(axis=1)
     smallest = worst == lowest[:, None]
-    unknown = rows[f"{reduce.by}_untrusted_share"] + rows["not_run_share"] > 0
+    doubted = rows[f"{reduce.by}_untrusted_share"] > reduce.untrusted
+    unknown = doubted | (rows["not_run_share"] > 0)
     sure = smallest & ~unknown
     at = np.argmax(np.where(sure.any(axis=1)[:, None], sure, smallest), axis=1)
     refused = ~sure.any(axis=1)

@@ -94,24 +94,25 @@ def statistics(flat, fields, allowed):
     out["not_run_share"] = np.mean((status != DIVERGED) & ~ran)
 
     def judged(name, metrics):
-        known = np.all([ran, *(flat[f"{m}_trusted"] == TRUSTED for m in metrics)], axis=0)
+        used = np.all([ran, *(~np.isnan(flat[m]) for m in metrics)], axis=0)
+        known = np.all([used, *(flat[f"{m}_trusted"] == TRUSTED for m in metrics)], axis=0)
         out[f"{name}_untrusted_share"] = np.mean(ran & ~known)
-        refused = (~known).sum() > allowed * n or not known.any()
+        refused = (~known).sum() > allowed * n or not used.any()
         shares = ("diverged_share", f"{name}_untrusted_share", "not_run_share")
         kinds = (DIVERGED, UNTRUSTED, NOT_RUN)
         most = max(zip((out[key] for key in shares), (3, 2, 1), kinds, strict=True))[2]
         out[f"{name}_status"] = most if refused else OK
-        return known
+        return used
 
     for metric, names in NAMES.items():
-        known = judged(metric, [metric])
+        used = judged(metric, [metric])
         if out[f"{metric}_status"] != OK:
             out |= dict.fromkeys(names, np.nan)
             continue
-        v = flat[metric][known]
+        v = flat[metric][used]
         for key, at in (("max", np.argmax), ("min", np.argmin)):
             out[f"{metric}_{key}"] = v[at(v)]
-            out |= {f"{metric}_{key}_{f}": values[known][at(v)] for f, values in fields.items()}
+            out |= {f"{metric}_{key}_{f}": values[used][at(v)] for f, values in fields.items()}
         wide = v.astype(float)
         out[f"{metric}_mean"] = wide.mean()
         out[f"{metric}_std"] = np.std(wide) if np.isfinite(wide).all() else np.inf
@@ -122,9 +123,9 @@ def statistics(flat, fields, allowed):
     with np.errstate(invalid="ignore"):
         true = (flat["nmse_tail"] < 1e-2) & (flat["contact_lost"] == 0) & (fields["Td"] > 2)
         shares = {"calm": (true, calm), "easy": (flat["nmse"] < 0.3, easy)}
-    for name, (true, known) in shares.items():
+    for name, (true, used) in shares.items():
         good = out[f"{name}_status"] == OK
-        out[f"{name}_share"] = np.mean(true[known]) if good else np.nan
+        out[f"{name}_share"] = np.mean(true[used]) if good else np.nan
     return out
 
 
@@ -133,16 +134,14 @@ def by_the_best(candidates, sigma, allowed):
     found = [statistics(flat, fields, allowed) for flat, fields in candidates]
     worst = []
     for flat, _ in candidates:
-        known = (flat["status"] == OK) & (flat["nmse_trusted"] == TRUSTED)
+        ran = flat["status"] == OK
         diverged = (flat["status"] == DIVERGED).any()
-        worst.append(np.inf if diverged else flat["nmse"][known].max(initial=-np.inf))
-    refused = [one["nmse_untrusted_share"] + one["not_run_share"] > 0 for one in found]
+        worst.append(np.inf if diverged else flat["nmse"][ran].max(initial=-np.inf))
+    refused = [one["nmse_untrusted_share"] > allowed or one["not_run_share"] > 0 for one in found]
     at = min(range(len(found)), key=lambda i: (worst[i], refused[i], i))
     out = dict(found[at])
     if refused[at]:
-        why = out["nmse_status"]
-        if why == OK:
-            why = UNTRUSTED if out["nmse_untrusted_share"] >= out["not_run_share"] else NOT_RUN
+        why = NOT_RUN if out["nmse_status"] == OK else out["nmse_status"]
         for name in out:
             if name.endswith("_status"):
                 out[name] = why
