@@ -41,7 +41,7 @@ sigma = { log = [0.001, 0.1], n = 4 }
 TIMED = """([act, name, wanted]) => new Promise((done) => {
   const source = Bokeh.documents[0].get_model_by_name(name);
   const before = source.data;
-  const size = () => source.data.image ? source.data.image[0]?.length : source.data.t.length;
+  const size = () => source.data.image?.[0]?.length;
   const began = performance.now();
   const look = () => {
     if (source.data !== before && (!wanted || size() === wanted))
@@ -113,13 +113,13 @@ def live(browser: Any, query: str = "") -> dict[str, list[float]]:
             fine.append(page.evaluate(TIMED, [act, "image", 256 * 256]))
             page.wait_for_timeout(1000)
         for x, y in rng.uniform(0.1, 0.9, (REPEATS + 1, 2)):
-            motion.append(page.evaluate(TIMED, [TAP.format(x=x, y=y), "motion0", 0]))
+            motion.append(page.evaluate(TIMED, [TAP.format(x=x, y=y), "motions", 0]))
             page.wait_for_timeout(200)
         page.close()
-    rested = [ms - 250 for ms in fine]
+    rested = [ms - 150 for ms in fine]
     return {
         "live: slider to 64 x 64": coarse,
-        "live: slider to 256 x 256, the 250 ms of rest included": fine,
+        "live: slider to 256 x 256, the 150 ms of rest included": fine,
         "live: 256 x 256 after the slider rests": rested,
         "live: click to motion, after the first": motion[1:],
     }

@@ -211,6 +211,7 @@
     if (!text) return;
     const before = said;
     said = JSON.parse(text);
+    document.title = `${said.view.metric} - ${document.querySelector("h1").textContent}`;
     for (const one of refresh) one(said.view);
     $("notice").textContent = said.notice;
     $("title").innerHTML = said.title || "";
