@@ -2,13 +2,16 @@
 
 import importlib.util
 import webbrowser
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sweeps.cli.errors import complain, refuse
 from sweeps.cli.library import find, is_store
 from sweeps.cli.process import importing
+
+if TYPE_CHECKING:
+    from sweeps.explore.source import Source
 
 LOOPBACK = "127.0.0.1"
 
@@ -27,28 +30,20 @@ def explore(
     browser: Annotated[bool, typer.Option(help="open the page")] = True,
 ) -> None:
     """Show live maps in the browser, or those of a store."""
-    for module, extra in (("bokeh", "explore"), ("llvmlite", "explore")):
+    for module in ("bokeh", "llvmlite"):
         if importlib.util.find_spec(module) is None:
-            refuse(f"explore needs {module}: `pip install 'fic-jax[{extra}]'`")
+            refuse(f"explore needs {module}: `pip install 'fic-jax[explore]'`")
     with importing():
         from sweeps.explore import server
-        from sweeps.explore.live import Live
-        from sweeps.explore.source import Source
-        from sweeps.runner import configure
-        from sweeps.spec.reading import load
-        from sweeps.store.place import place_of_store
 
-    source: Source
-    if what is not None and is_store(what):
-        from sweeps.explore.stored import Stored
+    def make() -> "Source":
+        with importing():
+            return source(what)
 
-        stored = Stored(place_of_store(what))
-        source, bits = stored, int(stored.dtype.removeprefix("float"))
+    if what is not None:  # a mistake is said before a browser opens
+        made = make()
     else:
-        sweep = load(find(what)) if what is not None else None
-        bits = sweep.bits if sweep else 32
-        source = Live(sweep, f"float{bits}")
-    configure(bits, "cpu")
+        made = None
 
     def opened(link: str) -> None:
         print(f"{link}  (Ctrl-C ends it)", flush=True)
@@ -62,6 +57,27 @@ def explore(
             webbrowser.open(link)
 
     try:
-        server.serve(source, host, port, opened)
+        server.serve(lambda: made or make(), host, port, opened)
+    except server.ListenError as error:
+        refuse(str(error))
     except KeyboardInterrupt:
         print("stopped")
+
+
+def source(what: str | None) -> "Source":
+    """The store or the program that the maps come from, with JAX in its precision."""
+    from sweeps.explore.live import Live
+    from sweeps.runner import configure
+    from sweeps.spec.reading import load
+    from sweeps.store.place import place_of_store
+
+    if what is not None and is_store(what):
+        from sweeps.explore.stored import Stored
+
+        stored = Stored(place_of_store(what))
+        configure(int(stored.dtype.removeprefix("float")), "cpu")
+        return stored
+    sweep = load(find(what)) if what is not None else None
+    bits = sweep.bits if sweep else 32
+    configure(bits, "cpu")
+    return Live(sweep, f"float{bits}")

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 COARSE, FINE = 64, 256  # cells of a side while a slider moves, and when it rests
-REST = 0.25  # s without an event, after which a slider rests
+REST = 0.15  # s without an event, after which a slider rests
 BAND = 4096  # cells computed at once, some 12 ms on two cores; a newer event then comes first
 NAME = "explored"  # of the sweep
 TITLE = "Fractal Impedance Controller"

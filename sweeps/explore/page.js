@@ -211,6 +211,7 @@
     if (!text) return;
     const before = said;
     said = JSON.parse(text);
+    document.title = `${said.view.metric} - ${document.querySelector("h1").textContent}`;
     for (const one of refresh) one(said.view);
     $("notice").textContent = said.notice;
     $("title").innerHTML = said.title || "";
@@ -291,8 +292,10 @@
   };
   window.explorer = { hear, pointer, lost, said: () => said };
   const begin = () => {
-    if (window.Bokeh?.documents?.length && model("words")) hear();
-    else setTimeout(begin, 20);
+    if (window.Bokeh?.documents?.length && model("words")) {
+      hear();
+      send({ do: "ready" });
+    } else setTimeout(begin, 20);
   };
   begin();
 })();

@@ -10,13 +10,11 @@ import traceback
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, replace
-from functools import lru_cache
 from importlib.resources import files
 from typing import Any
 
 from bokeh.document import Document
 from bokeh.models import ColumnDataSource, CustomJS
-from jinja2 import Template
 
 from fic_jax import METRICS
 from sweeps import maps
@@ -25,6 +23,7 @@ from sweeps.explore.cells import Map, label, symbol, text, unit
 from sweeps.explore.motion import Motion, motion
 from sweeps.explore.motion_figures import MotionFigures
 from sweeps.explore.picture import MARKS, MapFigure, colour_ends
+from sweeps.explore.server import body
 from sweeps.explore.view import (
     History,
     Value,
@@ -75,17 +74,18 @@ class Page:
             told = CustomJS(code="window.explorer && window.explorer.pointer(cb_obj)")
             self.figure.figure.js_on_event(name, told)
         self.words.js_on_change("data", CustomJS(code="window.explorer && window.explorer.hear()"))
-        for figure in figures:
-            document.add_root(figure)
+        with document.models.freeze():  # else Bokeh walks through the page after each
+            for figure in figures:
+                document.add_root(figure)
         document.js_on_event("connection_lost", CustomJS(code="window.explorer.lost()"))
         document.title = f"{source.title} - fic-sweep explore"
-        document.template = template()
+        document.template = body()
         document.template_variables.update(page_variables(source))
         document.on_session_destroyed(lambda _: self.close())
         if source.running:
             document.add_periodic_callback(self._poll, POLL)
         self._say()
-        self._compute()
+        self._compute(first=True)
 
     map: Map | None
 
@@ -109,6 +109,10 @@ class Page:
         except Exception:
             traceback.print_exc()
             self._say(notice="The program has failed at this; its terminal has the reason.")
+
+    def _on_ready(self) -> None:
+        if not self.said["fine"]:
+            self._compute()
 
     def _on_set(self, name: str, value: str) -> None:
         view = self.view
@@ -186,9 +190,11 @@ class Page:
         self._compute()
         self._settle_later()
 
-    def _compute(self) -> None:
+    def _compute(self, first: bool = False) -> None:
+        """Compute map and motions; first of all the coarse map alone, until the page is there."""
         self.said["fine"] = False
         stages = self.source.stages()
+        stages = stages[:1] if first else stages
         self.worker.submit((id(self), "map"), self._job(self.view, stages, None))
         self._move()
 
@@ -385,6 +391,7 @@ class Page:
 
 
 EVENTS: dict[str, dict[str, type]] = {  # event -> its values
+    "ready": {},
     "set": {"name": str, "value": str},
     "axis": {"side": str, "name": str},
     "tap": {"x": float, "y": float, "pin": bool},
@@ -469,22 +476,11 @@ def _percent(part: float) -> str:
     return f"{percent:.0f} %" if percent >= 10 or percent == 0 else f"{percent:.1f} %"
 
 
-@lru_cache(maxsize=1)
-def template() -> Template:
-    """The page around the figures."""
-    return Template(_text("page.html"))
-
-
-def _text(name: str) -> str:
-    return files("sweeps.explore").joinpath(name).read_text(encoding="utf-8")
-
-
 def page_variables(source: sources.Source) -> dict[str, Any]:
     """What the template needs: style, script, and the controls as JSON."""
     controls = json.dumps(source.controls(), default=str).replace("<", "\\u003c")
     return {
-        "style": _text("page.css"),
-        "script": _text("page.js"),
+        "script": files("sweeps.explore").joinpath("page.js").read_text(encoding="utf-8"),
         "controls": controls,
         "heading": source.title,
     }

@@ -8,7 +8,15 @@ import math
 from typing import Any, Literal
 
 import numpy as np
-from bokeh.models import ColumnDataSource, FixedTicker, Range1d
+from bokeh.models import (
+    ColumnDataSource,
+    FixedTicker,
+    ImageRGBA,
+    Quad,
+    Range1d,
+    Scatter,
+    Segment,
+)
 from bokeh.palettes import Viridis256
 from bokeh.plotting import figure
 from numpy.typing import NDArray
@@ -36,6 +44,8 @@ MARKS: tuple[Literal["circle", "triangle", "square", "diamond"], ...] = (
     "diamond",
 )
 NOTHING = {name: np.zeros(0, np.float32) for name in ("left", "right", "bottom", "top")}
+SIDES: dict[str, Any] = {name: name for name in NOTHING}
+UNIT: dict[str, Any] = {"x": 0, "y": 0, "dw": 1, "dh": 1}
 Picture = dict[str, Any]  # columns of a source
 
 
@@ -138,51 +148,22 @@ class MapFigure:
         self.border = ColumnDataSource({name: [] for name in ("x0", "y0", "x1", "y1")})
         self.marks = ColumnDataSource({"x": [], "y": [], "mark": []}, name="marks")
         self.figure = _unit_figure(name="map", aspect_ratio=1.05, sizing_mode="stretch_width")
-        f = self.figure
-        f.quad(
-            **_sides(),
-            fill_color="face",
-            hatch_color="ink",
-            hatch_pattern="pattern",
-            line_color=None,
-            source=self.hatches,
-            hatch_scale=8,
-        )
-        f.image_rgba(image="image", x=0, y=0, dw=1, dh=1, source=self.image)
+        drawn = self.figure.add_glyph  # f.quad and others make three glyphs of one
+        filled = {"fill_color": "face", "hatch_color": "ink", "hatch_pattern": "pattern"}
+        drawn(self.hatches, Quad(**SIDES, **filled, line_color=None, hatch_scale=8))
+        drawn(self.image, ImageRGBA(image="image", **UNIT))
         for ink, weight in (("white", 3.0), ("black", 1.2)):
-            look: dict[str, Any] = {"hatch_color": ink, "hatch_weight": weight, "hatch_scale": 9}
-            f.quad(
-                **_sides(),
-                fill_color=None,
-                line_color=None,
-                hatch_pattern="left_diagonal_line",
-                source=self.doubt,
-                **look,
-            )
+            look = {"hatch_color": ink, "hatch_weight": weight, "hatch_scale": 9}
+            look |= {"fill_color": None, "line_color": None, "hatch_pattern": "left_diagonal_line"}
+            drawn(self.doubt, Quad(**SIDES, **look))
         for ink, width in ((INK, 2.8), ("white", 1.3)):
-            f.segment(
-                "x0",
-                "y0",
-                "x1",
-                "y1",
-                source=self.border,
-                line_color=ink,
-                line_width=width,
-                line_cap="square",
-            )
-        f.scatter(
-            "x",
-            "y",
-            marker="mark",
-            size=15,
-            source=self.marks,
-            fill_color="white",
-            line_color=INK,
-            line_width=2.5,
-        )
+            look = {"line_color": ink, "line_width": width, "line_cap": "square"}
+            drawn(self.border, Segment(x0="x0", y0="y0", x1="x1", y1="y1", **look))
+        look = {"fill_color": "white", "line_color": INK, "line_width": 2.5}
+        drawn(self.marks, Scatter(x="x", y="y", marker="mark", size=15, **look))
         self.bar = ColumnDataSource({"image": []})
         self.colours = _unit_figure(name="colours", height=52, sizing_mode="stretch_width")
-        self.colours.image_rgba(image="image", x=0, y=0, dw=1, dh=1, source=self.bar)
+        self.colours.add_glyph(self.bar, ImageRGBA(image="image", **UNIT))
         self.colours.yaxis.visible = False
         self._bar: Any = None
 
@@ -221,10 +202,6 @@ class MapFigure:
             source.data = data
 
 
-def _sides() -> dict[str, str]:
-    return {name: name for name in NOTHING}
-
-
 def _unit_figure(**look: Any) -> figure:
     """An empty figure whose sides have the length 1."""
     f = figure(
@@ -238,6 +215,7 @@ def _unit_figure(**look: Any) -> figure:
     )
     f.grid.visible = False
     for axis in (*f.xaxis, *f.yaxis):
+        axis.ticker = FixedTicker(ticks=[])
         axis.minor_tick_line_color = None
         axis.major_label_text_color = INK
         axis.major_label_text_font_size = "13px"
@@ -249,4 +227,4 @@ def _tick(axis: Any, places: list[tuple[float, str]]) -> None:
     labels = {place: label for place, label in places}
     if axis.major_label_overrides != labels:
         axis.major_label_overrides = labels
-        axis.ticker = FixedTicker(ticks=list(labels))
+        axis.ticker.ticks = list(labels)  # of a new ticker Bokeh would search the whole page

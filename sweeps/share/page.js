@@ -86,8 +86,8 @@
   const breakable = (name) => // a line may end after each _
     name.split("_").flatMap((part, i) => (i ? ["_", element("wbr"), part] : [part]));
   const percent = (part) =>
-    part > 0 && part < 0.001 ? "<0.1 %" : part < 0.0995 && part > 0 ? `${(100 * part).toFixed(1)} %`
-      : part < 1 && part >= 0.995 ? ">99 %" : `${(100 * part).toFixed(0)} %`;
+    (part > 0 && part < 0.001 ? "<0.1" : part < 0.0995 && part > 0 ? (100 * part).toFixed(1)
+      : part < 1 && part >= 0.995 ? ">99" : (100 * part).toFixed(0)) + "\u00a0%";
 
   // ---- the map
 
@@ -414,11 +414,11 @@
     const room = 0.04 * (high - low) || 0.1 * Math.abs(high) || 1;
     return [low - room, high + room];
   };
-  const plot = (words, x, y, { level, steps, names: levels } = {}) => {
+  const plot = (words, x, y, { level, names: levels } = {}) => {
     const pins = about.pins.filter((pin) => pin.drawn);
     const series = pins.map((pin) => [pin.signals[x], pin.signals[y]]);
     const marks = level ? pins.map((pin) => pin[level]) : [];
-    const [x0, x1] = x === "t" ? [0, ends(series.map((one) => one[0]))[1]] : ends(series.map((one) => one[0]));
+    const [x0, x1] = x !== "x" ? [0, ends(series.map((one) => one[0]))[1]] : ends(series.map((one) => one[0]));
     const [y0, y1] = ends([...series.map((one) => one[1]), marks]);
     const u = (value) => LEFT + (value - x0) / (x1 - x0) * (W - LEFT - 8);
     const v = (value) => H - BOTTOM - (value - y0) / (y1 - y0) * (H - BOTTOM - 8);
@@ -436,10 +436,10 @@
       const d = [];
       for (let k = 0; k < a.length; k += 1) {
         const point = `${u(a[k]).toFixed(1)} ${v(b[k]).toFixed(1)}`;
-        d.push(k === 0 ? `M${point}` : steps ? `V${v(b[k]).toFixed(1)}H${u(a[k]).toFixed(1)}` : `L${point}`);
+        d.push(`${k === 0 ? "M" : "L"}${point}`);
       }
       const look = pins[i].look;
-      return svg("path", { d: d.join(""), fill: "none", stroke: look.color, "stroke-width": look.width,
+      return svg("path", { d: d.join(""), fill: "none", stroke: look.colour, "stroke-width": look.width,
         "stroke-dasharray": DASHES[look.dash], "stroke-linejoin": "round" });
     });
     const frame = svg("rect", { x: LEFT, y: 8, width: W - LEFT - 8, height: H - BOTTOM - 8,
@@ -456,7 +456,7 @@
   };
   const line_of = (look) =>
     svg("svg", { width: 44, height: 10, "aria-hidden": "true" }, svg("path", { d: "M0 5H44",
-      stroke: look.color, "stroke-width": 2.2, "stroke-dasharray": DASHES[look.dash] }));
+      stroke: look.colour, "stroke-width": 2.2, "stroke-dasharray": DASHES[look.dash] }));
   const motions = async () => {
     $("motions").append(...about.pins.map((pin) => {
       const button = element("button", { type: "button", ariaLabel: `Show on the map: ${pin.name}` }, "Show");
@@ -473,7 +473,7 @@
     }));
     for (const [i, pin] of about.pins.entries()) {
       pin.signals = {};
-      for (const name of ["t", "T", "e", "x", "branch", "V", "v"])
+      for (const name of ["t", "T", "e", "x", "V", "v", "steps", "branch"])
         pin.signals[name] = await floats_of(`pin-${i}-${name}`);
       pin.drawn = true;
     }
@@ -486,7 +486,7 @@
       plot("torque T (N·m) over t (s); grey: Td", "t", "T", { level: "Td" }),
       plot("error e (rad) over t (s)", "t", "e"),
       plot("position x (rad) over t (s); grey: gap", "t", "x", { level: "gap" }),
-      plot("branch of Algorithm 1 over t (s)", "t", "branch", { steps: true, names: ["conv.", "div."] }),
+      plot("branch of Algorithm 1 over t (s)", "steps", "branch", { names: ["conv.", "div."] }),
       plot("Lyapunov function V (J) over t (s)", "t", "V"),
       plot("phase portrait: velocity v (rad/s) over position x (rad)", "x", "v"));
   };

@@ -132,17 +132,17 @@ def description(source: Stored, copy: Copy, pins: Sequence[Pin], view: View) -> 
                 "name": pin.name,
                 "at": places(copy, pin),
                 "where": [
-                    f"{dim} = {shown_value(source, dim, pin.index[i])}"
-                    for i, dim in enumerate(copy.kept)
+                    f"{dim} = {shown_value(source, dim, k)}"
+                    for dim, k in zip(copy.kept, pin.index, strict=True)
                 ],
                 "nmse": pin.nmse,
                 "note": pin.note,
                 "Td": float(pin.motion.scenario.params.Td),
                 "gap": float(pin.motion.scenario.params.gap),
                 "mark": mark,
-                "look": {name.removeprefix("line_"): v for name, v in look.items()},
+                "look": {name: values[i] for name, values in LOOKS.items()},
             }
-            for pin, mark, look in zip(pins, MARKS, LOOKS, strict=False)
+            for i, (pin, mark) in enumerate(zip(pins, MARKS, strict=False))
         ],
     }
 

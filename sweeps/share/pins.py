@@ -9,12 +9,12 @@ from fic_jax import TRUST, Params, sweep
 from sweeps import maps
 from sweeps.explore.cells import Row
 from sweeps.explore.motion import Motion, Scenario, motion
-from sweeps.explore.motion_figures import COLUMNS, LOOKS, columns
+from sweeps.explore.motion_figures import LOOKS, columns
 from sweeps.explore.stored import Stored
 from sweeps.explore.view import View
 from sweeps.share.coarse import Copy, encoded
 
-MOST_PINS = len(LOOKS)  # lines that a reader can tell apart
+MOST_PINS = len(LOOKS["colour"])  # lines that a reader can tell apart
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Pin:
     @property
     def signals(self) -> dict[str, str]:
         """The signals of the motion as text."""
-        return {n: encoded(v) for n, v in columns(self.motion).items() if n in COLUMNS}
+        return {name: encoded(values) for name, values in columns(self.motion).items()}
 
 
 def choose(copy: Copy, view: View) -> list[tuple[str, tuple[int, ...]]]:

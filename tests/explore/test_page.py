@@ -112,7 +112,7 @@ def test_a_click_draws_the_motion_of_the_cell(browser, live):
         one = {name: np.float32([v]) for name, v in vars(Params(K0=K0, Kenv=Kenv)).items()}
         assert np.float32(nmse) == sweep(Params(**one), dt=0.01, n_steps=100).nmse[0]
         assert exact(page, "nmse") == nmse
-        samples = "Bokeh.documents[0].get_model_by_name('motion0').data.T.length"
+        samples = "Bokeh.documents[0].get_model_by_name('motions').data.T[0].length"
         assert page.evaluate(samples) == 100
         assert page.locator("figcaption").first.is_visible()
         # the map has the same number in that cell

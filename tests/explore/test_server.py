@@ -13,7 +13,6 @@ import pytest
 from sweeps.explore import server
 from sweeps.explore.page import _event
 from sweeps.explore.view import ViewError
-from sweeps.spec.mistakes import SweepError
 from tests.command import call, typed
 from tests.explore.serving import serving
 
@@ -195,7 +194,7 @@ def test_the_default_port_gives_way(monkeypatch):
 
 @pytest.mark.parametrize("host", ["no.such.host.invalid", "8.8.8.8", "a\x00b"])
 def test_a_host_that_is_not_here_is_one_line(host):
-    with pytest.raises(SweepError, match="--host"):
+    with pytest.raises(server.ListenError, match="--host"):
         server.bound(host, 0)
 
 
