@@ -7,6 +7,7 @@
 # make figures the paper's figures, and those of a report that has run, under results/figures/
 # make gpu     measure everything on an NVIDIA card, with the packages that are there: tables under results/gpu/
 #              make gpu GPU="--only rates --limit 600"; python -m benchmarks.gpu --help lists the options
+# make explore-speed  measure the explorer's page in headless Chromium, a minute or two
 # make clean   remove the results, as after a change of the program; make distclean the environment and the documentation too
 PYTHON ?= python3
 VENV := .venv
@@ -24,7 +25,7 @@ STORE_TESTS := tests/store tests/refine tests/test_runner.py tests/spec tests/pl
 modules = $(subst $() ,$(comma),$(patsubst %,sweeps/%.py,$(1)))
 comma := ,
 
-.PHONY: sweep test lint torture coverage docs picture figures gpu clean distclean
+.PHONY: sweep test lint torture coverage docs picture figures gpu explore-speed clean distclean
 
 sweep: $(VENV)/installed
 	@mkdir -p results
@@ -70,13 +71,16 @@ figures: $(VENV)/installed
 gpu:
 	@$(if $(wildcard $(BIN)/python),$(BIN)/python,$(PYTHON)) -m benchmarks.gpu $(GPU)
 
+explore-speed: $(VENV)/installed
+	$(BIN)/python -m benchmarks.explorer
+
 $(VENV)/installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "fic_jax needs Python 3.11 or newer; make PYTHON=...")'
 	@echo "installing into $(VENV), a minute or two ..."
 	@$(PYTHON) -m venv $(VENV)
 	@# compat: a path entry, so that a folder named fic_jax around it can't shadow the package
 	@$(BIN)/pip install --quiet --disable-pip-version-check --config-settings editable_mode=compat \
-	  -c constraints.txt -e '.[test,export,bench,fast,dask,docs]'
+	  -c constraints.txt -e '.[test,export,bench,fast,dask,docs,explore]'
 	@touch $@
 
 clean:

@@ -9,9 +9,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from figures.colours import LEVELS
 from figures.planes import Plane
 from figures.style import EDGED
+from sweeps import maps
 
 WORDS = {"convergence_time": "converged or not", "contact_time": "touched or not"}
 # More sides than this are the noise of cells that differ from all their neighbours: no border.
@@ -31,7 +31,7 @@ def between(plane: Plane) -> Border | None:
     values, infinite = plane.values, plane.special.get("infinite")
     if plane.choices:
         return None
-    level = LEVELS.get(plane.metric)
+    level = maps.LEVELS.get(plane.metric)
     if level is not None:
         text, inside = f"{plane.metric} = {level:g}", np.asarray(values.filled(np.inf) <= level)
         known = ~np.ma.getmaskarray(values)
@@ -40,22 +40,8 @@ def between(plane: Plane) -> Border | None:
         known = inside | infinite
     else:
         return None
-    sides = np.concatenate([*_sides(plane, inside, known)])
+    sides = maps.sides(inside, known, plane.x.edges, plane.y.edges)
     return Border(text, sides) if 0 < len(sides) <= MOST else None
-
-
-def _sides(
-    plane: Plane, inside: NDArray[np.bool_], known: NDArray[np.bool_]
-) -> list[NDArray[np.float64]]:
-    """Upright and level sides between a cell inside and a neighbour outside, both known."""
-    x, y = plane.x.edges, plane.y.edges
-    row, column = np.nonzero((inside[:, 1:] != inside[:, :-1]) & known[:, 1:] & known[:, :-1])
-    at = x[column + 1]
-    upright = np.stack([np.stack([at, y[row]], -1), np.stack([at, y[row + 1]], -1)], 1)
-    row, column = np.nonzero((inside[1:] != inside[:-1]) & known[1:] & known[:-1])
-    at = y[row + 1]
-    level = np.stack([np.stack([x[column], at], -1), np.stack([x[column + 1], at], -1)], 1)
-    return [upright, level]
 
 
 def drawn(border: Border) -> Iterator[LineCollection]:

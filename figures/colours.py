@@ -1,6 +1,5 @@
 """The scale of a metric: of its colours, and of an axis that it is drawn on."""
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,14 +15,7 @@ from numpy.typing import NDArray
 from figures import style
 from figures.cut import Cells
 from figures.style import EDGED
-from sweeps.store.format import ERRORS
-
-LOG_METRICS = ("nmse", "nmse_tail", *ERRORS)  # the paper compares decades
-LINEAR_METRICS = ("convergence_time", "contact_time")
-SIGNED_METRICS = ("steady_error",)
-MAX_DECADES = 8  # of colours: further below, nmse is rounding in float32
-# Where a reader looks for a border: a root mean square error of a tenth of the desired torque.
-LEVELS = {"nmse": 0.01, "nmse_tail": 0.01}
+from sweeps import maps
 
 
 def pool(parts: Sequence[Cells]) -> NDArray[np.float64]:
@@ -35,7 +27,8 @@ def colour_map(part: Cells) -> Colormap:
     """Colours that show the sign, or the size; of choices, one for each."""
     if part.choices:
         return ListedColormap(style.CHOICES[: len(part.choices)])
-    return style.DIVERGING if part.metric in SIGNED_METRICS else colormaps[style.SEQUENTIAL]
+    signed = part.metric in maps.SIGNED_METRICS
+    return style.DIVERGING if signed else colormaps[style.SEQUENTIAL]
 
 
 def norm(part: Cells, values: NDArray[np.float64]) -> Normalize:
@@ -45,25 +38,12 @@ def norm(part: Cells, values: NDArray[np.float64]) -> Normalize:
     """
     if part.choices:
         return Normalize(0.5, len(part.choices) + 0.5)
-    metric, positive = part.metric, values[values > 0]
-    free = metric not in LINEAR_METRICS + SIGNED_METRICS and 0 < positive.size == values.size
-    wide = free and positive.max() > 100 * positive.min()
-    log = part.spacing == "log" if part.spacing else metric in LOG_METRICS or wide
-    if log and positive.size:
-        low, high = np.log10(np.quantile(positive, [0.01, 0.99], method="inverted_cdf"))
-        top = max(math.ceil(high), math.floor(low) + 1)
-        bottom = max(math.floor(low), top - MAX_DECADES)
+    low, high, log = maps.limits(part.metric, values, part.spacing)
+    if log:
         # clip: an exact zero gets the lowest colour; without it the cell would be blank
-        return LogNorm(10.0**bottom, 10.0**top, clip=True)
+        return LogNorm(low, high, clip=True)
     if not values.size:
-        return Normalize(0, 1)
-    low, high = np.quantile(values, [0.01, 0.99], method="inverted_cdf")
-    if metric in SIGNED_METRICS:
-        high = max(abs(low), abs(high))
-        low = -high
-    if high - low <= 1e-4 * max(abs(low), abs(high)):  # all values are equal, or nearly
-        low, high = low - 0.1 * (abs(low) or 1.0), high + 0.1 * (abs(high) or 1.0)
-        low = 0.0 if metric in ERRORS else low  # an error is not negative
+        return Normalize(low, high)
     ticks = MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
     return Normalize(ticks[0], ticks[-1])
 
@@ -94,6 +74,6 @@ def bar(
     bar.outline.set_linewidth(0.5)
     bar.set_label(style.fold(part.label, 150))
     bar.minorticks_off()
-    level = LEVELS.get(part.metric)
+    level = maps.LEVELS.get(part.metric)
     if level and 0 < scale(level) < 1:
         bar.ax.axhline(level, color="white", lw=1.1, path_effects=EDGED)

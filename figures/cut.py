@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fic_jax import QUANTITIES
 from figures import reduction, style
+from sweeps.maps import edges_of
 from sweeps.spec.digits import LEAST, digits
 from sweeps.store.format import (
     DIVERGED,
@@ -321,19 +322,3 @@ def scale_of(coordinate: xr.DataArray) -> str:
 def _drawable(scale: str, steps: NDArray[np.float64]) -> str:
     """The scale, or "category" if a value would have no width beside its neighbours."""
     return "category" if np.mean(steps) > UNEVEN * np.min(steps) else scale
-
-
-def edges_of(values: NDArray[Any], scale: str) -> NDArray[np.float64]:
-    """Cell edges midway between ascending values on the scale; outer cells are symmetric."""
-    if scale == "category" or len(values) == 1:
-        return np.arange(len(values) + 1, dtype=np.float64) - 0.5
-    numbers = values.astype(np.float64)
-    points: NDArray[np.float64] = np.log(numbers) if scale == "log" else numbers
-    inner = (points[:-1] + points[1:]) / 2
-    first, last = 2 * points[0] - inner[0], 2 * points[-1] - inner[-1]
-    edges = np.concatenate([[first], inner, [last]]).astype(np.float64)
-    if scale == "log":
-        return np.asarray(np.exp(edges), dtype=np.float64)
-    if points[0] > 0:
-        edges[0] = max(edges[0], 0.0)  # a positive quantity has no negative edge
-    return edges

@@ -14,16 +14,8 @@ from numpy.typing import NDArray
 from figures import style
 from figures.cut import Cells as Of
 from figures.planes import Plane
+from sweeps import maps
 
-INFINITE = {
-    "convergence_time": "never converges",
-    "contact_time": "never touches",
-    "convergence_time_max": "one of them never converges",
-    "convergence_time_mean": "one of them never converges",
-    "convergence_time_at_best": "never converges with any value",
-    "convergence_time_error": "converges in one of two runs",
-    "contact_time_error": "touches in one of two runs",
-}
 LEGEND_BOX = 32  # point; a box of the legend and the spaces around it and its text
 HATCH_CELLS = 400  # per side; finer hatch outlines are below one printed dot
 # A dark line on a wider light line is visible on every colour, also in a grey print.
@@ -129,8 +121,8 @@ def special_entries(parts: Sequence[Of]) -> dict[str, Handle]:
 def special_text(key: str, parts: Sequence[Of]) -> str:
     """Why cells have no value, with their share of each panel."""
     none = "none is best" if parts[0].metric.startswith("best_") else "no value"
-    words = {"not run": "not run yet", "infinite": INFINITE.get(parts[0].metric, "infinite")}
-    words["no value"] = none
+    infinite = maps.INFINITE.get(parts[0].metric, "infinite")
+    words = {"not run": "not run yet", "infinite": infinite, "no value": none}
     cells = [part.special.get(key, np.zeros(1, bool)) for part in parts]
     return f"{words.get(key, key)} ({shares(cells)})"
 

@@ -14,13 +14,13 @@ from figures.cut import (
     Wanted,
     cells,
     cut,
-    edges_of,
     require_dimension,
     require_metric,
     scale_of,
     symbol,
     with_units,
 )
+from sweeps.maps import edges_of
 
 
 @dataclass(frozen=True)

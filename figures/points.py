@@ -35,6 +35,7 @@ from figures.cut import (
     with_units,
 )
 from figures.planes import Axis, axis
+from sweeps import maps
 from sweeps.spec.digits import digits
 
 FEW_MARKERS = 60  # values of a line up to which each has a marker
@@ -191,7 +192,7 @@ def _heights(ax: Axes, points: Points, log: bool) -> dict[str, hatch.Handle]:
         look: dict[str, Any] = {"mfc": "white", "color": DOUBT, "mew": 0.7, "ms": size}
         ax.plot(x[doubt], y[doubt], "o", zorder=2.5 if not points.joined else 3, **look)
         entries[hatch.doubt_text([points])] = Line2D([], [], ls="", marker="o", **look)
-    level = colours.LEVELS.get(points.metric)
+    level = maps.LEVELS.get(points.metric)
     if level:
         dashes: dict[str, Any] = {"color": DOUBT, "lw": 0.6, "ls": (0, (4, 2))}
         ax.axhline(level, zorder=1, **dashes)

@@ -17,6 +17,8 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.textpath import TextPath
 
+from sweeps import maps
+
 COLUMN_WIDTH = 3.5  # inch, one column of a two-column paper
 PAGE_WIDTH = 7.16  # inch, both columns
 FONT_SIZE = 7.5  # point; smaller letters are hard to read in a printed column
@@ -65,40 +67,13 @@ def look() -> Iterator[None]:
         yield
 
 
-SYMBOLS = {
-    "K0": r"$K_0$",
-    "Fmax": r"$F_{Max}$",
-    "x0": r"$\tilde{x}_0$",
-    "xb": r"$\tilde{x}_b$",
-    "S": r"$S$",
-    "Td": r"$T_d$",
-    "xd": r"$x_d$",
-    "sigma": r"$\sigma$",
-    "period": "control period",  # the paper gives it no symbol
-    "I": r"$I$",
-    "Kenv": r"$K_{env}$",
-    "Denv": r"$D_{env}$",
-    "gap": "gap",  # no symbol in the paper either
-    "x_init": r"$x(0)$",
-    "v_init": r"$\dot{x}(0)$",
-}
-
-WORDS = {  # choices of the model; the others are words
-    "algorithm1": "Algorithm 1",
-    "rk4": "RK4, switches smeared",
-    "rk4_events": "RK4, switches located",
-}
-
-SEQUENTIAL = "viridis"
+# as in the browser
+SYMBOLS, SEQUENTIAL, words = maps.SYMBOLS, maps.SEQUENTIAL, maps.words
 # Of choices (Okabe and Ito): any two differ for colour-blind readers, the first three in grey too.
 CHOICES = ["#0072B2", "#F0E442", "#D55E00", "#56B4E9", "#009E73", "#CC79A7"]
 # Of lines on white: blue to orange. Its lighter end has a contrast below 3 and fades in print.
 ORDERED, LIGHTEST = "plasma", 0.63
-# Luminance rises from end to end, so that a grey print shows the sign. Colour-blind readers can
-# tell blue from orange. Only zero is grey.
-DIVERGING = LinearSegmentedColormap.from_list(
-    "signed", ["#0a2463", "#3f6fb5", "#a6a6a6", "#f2b66d", "#fff3d1"]
-)
+DIVERGING = LinearSegmentedColormap.from_list("signed", maps.SIGNED_COLOURS)
 
 
 DASHES: tuple[Any, ...] = (
@@ -150,11 +125,6 @@ MARKS = {
 }
 
 UNTRUSTED = 4 * "\\"  # the hatch over the colour of a cell that is not trusted
-
-
-def words(choice: str) -> str:
-    """A choice of the model as it is written in a sentence."""
-    return WORDS.get(choice, choice.replace("_", " "))
 
 
 def units_text(units: str) -> str:

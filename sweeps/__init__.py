@@ -12,6 +12,8 @@
 - `compile_cache`, `processor`: where compiled programs are kept, one folder for each processor
 - `disk`: which errors are the disk's and no mistake of the user
 - `export`: a store as CSV, Parquet or NetCDF
+- `maps`: what a picture of a metric shows, whoever draws it
+- `explore`: maps in the browser
 - `paper`: the paper's scenarios and claims, and the report about them
 - `cli`: the command `fic-sweep`
 

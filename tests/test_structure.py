@@ -83,7 +83,10 @@ ROOMS = {
     "sweeps.merge": {*STORE, "sweeps.provenance"},
     "sweeps.export": STORE,
     "sweeps.paper": {*RUNNER, "sweeps.paper", "sweeps"},  # sweeps: where its library is
-    "figures": {*STORE, "figures"},
+    "sweeps.maps": {"sweeps.store"},
+    "sweeps.explore": {*RUNNER, "sweeps.maps", "sweeps.explore", "figures"},
+    "sweeps.share": {*RUNNER, "sweeps.maps", "sweeps.explore", "sweeps.share"},
+    "figures": {*STORE, "sweeps.maps", "figures"},
     "figures.paper": {*STORE, "figures", "sweeps.paper.scenarios"},
     "benchmarks": {*RUNNER, "sweeps.processor", "benchmarks", "figures"},
     "benchmarks.__main__": {"sweeps.cli"},  # `python -m benchmarks` is `fic-sweep bench`
@@ -93,9 +96,11 @@ ROOMS = {
         *RUNNER,
         "sweeps",
         "sweeps.cluster",
+        "sweeps.explore",
         "sweeps.export",
         "sweeps.merge",
         "sweeps.paper",
+        "sweeps.share",
         "benchmarks",
         "sweeps.cli",
         "figures",

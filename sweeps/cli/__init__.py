@@ -6,6 +6,7 @@
 - `reduce`: `reduce`
 - `check`: `status`, `verify`
 - `output`: `plot`, `history`, `export`
+- `explore`: `explore`
 - `report`, `bench`: a command each
 - `arguments`: the arguments that several commands share
 - `interruption`: Ctrl-C and SIGTERM stop a command between two blocks
@@ -27,6 +28,7 @@ from sweeps.cli import (
     bench,
     check,
     errors,
+    explore,
     library,
     merge,
     output,
@@ -56,6 +58,8 @@ for command in (
     output.plot,
     output.history,
     output.export,
+    output.share,
+    explore.explore,
     bench.bench,
     report.report,
 ):

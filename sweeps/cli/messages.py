@@ -143,6 +143,22 @@ def status_lines(store: Store) -> list[str]:
     ]
 
 
+def record(store: Store) -> list[tuple[str, str]]:
+    """What `status_lines` say, as pairs of a head and a text, without the path of the store."""
+    attrs, rows = store.group.attrs.asdict(), [("name", store.grid.sweep.name)]
+    for line in [f"{'sweep':{HEAD}}{_dims(store.grid)}", *status_lines(store)[1:]]:
+        head, text = line[:HEAD].strip(), line[HEAD:].strip()
+        if " " not in line[HEAD - 1 : HEAD + 1]:  # a sentence without a head
+            head, _, text = line.partition(" ")
+        if head:
+            rows.append((head, text))
+        else:
+            rows[-1] = (rows[-1][0], f"{rows[-1][1]} {text}")
+    names = ("numerics", "arithmetic", "jaxlib", "llvmlite", "numpy", "scipy")
+    used = [f"{name} {attrs[name]}" for name in names if name in attrs]
+    return [*rows, ("with", printable(", ".join(used)))]
+
+
 def _shard(grid: Grid) -> Iterator[str]:
     """Which shard of a sweep this is, if it is one."""
     if grid.shard:
