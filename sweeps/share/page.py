@@ -126,7 +126,6 @@ def description(source: Stored, copy: Copy, pins: Sequence[Pin], view: View) -> 
         "palettes": [shades(name).tolist() for name in ("nmse", *maps.SIGNED_METRICS[:1])],
         "digits": 4 if copy.bits < MANTISSA else 5,
         "converged": copy.converged is not None,
-        "motion": source.has_motion,
         "pins": [
             {
                 "name": pin.name,
