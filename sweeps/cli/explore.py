@@ -1,6 +1,8 @@
 """`explore`: maps in the browser."""
 
 import importlib.util
+import os
+import sys
 import webbrowser
 from typing import TYPE_CHECKING, Annotated
 
@@ -53,7 +55,9 @@ def explore(
                 f"{'this store' if what and is_store(what) else 'these maps'} and use this "
                 "machine's processor: there is no password and no encryption"
             )
-        if browser:
+        # without a screen Python would start a browser of the terminal, which waits for its user
+        screen = sys.platform != "linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys()
+        if browser and screen:
             webbrowser.open(link)
 
     try:

@@ -271,6 +271,10 @@ class Live:
             return values_of(*found, plan.time.t_end)
         return values_of(sweep(params, model=model, dt=dt, n_steps=n_steps), None, plan.time.t_end)
 
+    def place(self, view: View) -> dict[str, Value] | None:
+        """What the selected cell is at."""
+        return view.place()
+
     def scenario(self, place: Mapping[str, Value]) -> Scenario:
         """The scenario of a cell. Raises ViewError."""
         first = next(iter(QUANTITIES))

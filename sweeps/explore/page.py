@@ -140,7 +140,9 @@ class Page:
             self.map.x.index(view.cell[0]),
         )
         cell = view.cell if again else (self.map.x.value(column), self.map.y.value(row))
-        self._select(view.pinned() if pin or again else view, cell)
+        if pin or again:
+            view = view.pinned(self.source.place(view))
+        self._select(view, cell)
 
     def _on_move(self, dx: float, dy: float) -> None:
         if self.map is None:
@@ -154,7 +156,7 @@ class Page:
         self._select(self.view, (x.value(column), y.value(row)))
 
     def _on_pin(self) -> None:
-        self._select(self.view.pinned(), self.view.cell)
+        self._select(self.view.pinned(self.source.place(self.view)), self.view.cell)
 
     def _on_unpin(self) -> None:
         self._select(replace(self.view, pins=()), self.view.cell)
@@ -241,7 +243,9 @@ class Page:
         """Mark the selected cell and the pins that lie on the map."""
         if self.map is None:
             return
-        places = [self._on_map(self.map, p) for p in (self.view.place(), *self.view.pins)]
+        places = [
+            self._on_map(self.map, p) for p in (self.source.place(self.view), *self.view.pins)
+        ]
         self.figure.mark(places)
 
     def _on_map(self, drawn: Map, place: Mapping[str, Value] | None) -> tuple[float, float] | None:
@@ -258,7 +262,7 @@ class Page:
 
     def _move(self) -> None:
         """Simulate the selected cell and the pins."""
-        view, places = self.view, [self.view.place(), *self.view.pins]
+        view, places = self.view, [self.source.place(self.view), *self.view.pins]
         key = (id(self), "motion")
         if places == [None] and not self.said["motions"]:
             return
@@ -285,7 +289,7 @@ class Page:
 
     def _values_alone(self, view: View) -> None:
         """The values of a selected cell that has no motion."""
-        place = view.place()
+        place = self.source.place(view)
         if place:
             rows = self.source.values(place, {})
             told = {"at": _at(view, place), "rows": rows, "note": self.source.no_motion}
@@ -301,7 +305,7 @@ class Page:
 
     def _told(self, view: View, found: list[Any]) -> dict[str, Any]:
         """The words about the motions, and the values of the selected cell."""
-        places = [view.place(), *view.pins]
+        places = [self.source.place(view), *view.pins]
         names = [n for n in view.at if len({p[n] for p in places if p}) > 1]
         names = names or [view.x, view.y]
         motions = []
@@ -316,7 +320,7 @@ class Page:
             computed = {n: float(v) for n, v in asdict(found[0].metrics).items() if n in METRICS}
             rows = self.source.values(place, computed)
             note = self.source.disagreement(rows, computed)
-            selected = {"at": _at(view, place), "rows": rows, "note": note}
+            selected = {"at": _at(view, place, True), "rows": rows, "note": note}
         return {"motions": motions, "selected": selected, "readout": selected}
 
     def _draw(self, found: list[Any], told: dict[str, Any]) -> None:
@@ -440,10 +444,14 @@ def _shown(value: Value) -> str:
     return maps.words(value) if isinstance(value, str) else f"{value:.6g}".replace("-", "−")
 
 
-def _at(view: View, place: Mapping[str, Value]) -> list[list[str]]:
-    """Name and value of the axes and of the reduced dimensions."""
-    found = [[symbol(n), f"{_shown(place[n])} {unit(n)}".strip()] for n in (view.x, view.y)]
-    return found + [[symbol(name), f"{view.how} over all"] for name in view.over]
+def _at(view: View, place: Mapping[str, Value], one: bool = False) -> list[list[str]]:
+    """Name and value of the axes; of the reduced dimensions how they are, or those of one cell."""
+
+    def shown(name: str) -> list[str]:
+        return [symbol(name), f"{_shown(place[name])} {unit(name)}".strip()]
+
+    over = [shown(name) if one else [symbol(name), f"{view.how} over all"] for name in view.over]
+    return [shown(view.x), shown(view.y), *over]
 
 
 def _title(drawn: Map) -> str:

@@ -52,6 +52,7 @@ from sweeps.store.opening import open_store
 MOST_HELD = 50_000_000  # values of a variable in memory: 200 MB in float32
 MOST_LISTED = 2_000  # values of a dimension that a slider has
 LATEST = 3  # metrics in memory, with their flags
+LOAD = 0.3  # s after a map, when nothing else is to be done
 POLL = 1.0  # s between two looks at a running sweep
 STATUS = {
     NOT_RUN: "not run",
@@ -181,8 +182,30 @@ class Stored:
         """Any view of the space can be shown."""
 
     def stages(self) -> list[Stage]:
-        """What computes a map: one step."""
-        return [(0.0, lambda view, _, stale: self.map(view, stale))]
+        """What computes a map: one step. Then blocks are loaded: no slider waits for the disk."""
+        return [(0.0, lambda view, _, stale: self.map(view, stale)), (LOAD, self._load)]
+
+    def _load(self, view: View, _: Map | None, stale: Stale) -> None:
+        """Load all blocks of what a map needs, unless a newer view needs others first."""
+        if self.grid.cells > MOST_HELD:
+            return
+        for name in self._needed(view.metric):
+            for block in self._done:
+                if stale():
+                    return
+                self._read(name, tuple(slice(p.start, p.stop) for p in self.grid.block(block)))
+
+    def _needed(self, metric: str) -> list[str]:
+        """The variables that a map of a metric reads."""
+        names = [metric, str(self.store.array(metric).attrs.get("ancillary_variables", ""))]
+        names += [self._flag(metric), "status", "convergence_time"]
+        return [name for name in names if name in self.store.variables]
+
+    def _flag(self, metric: str) -> str:
+        """The flag that says whether a metric is trusted; empty if the store has none."""
+        judged = ERRORS.get(metric, metric)
+        flags = [n for n, of in (JUDGEMENTS | OLD_JUDGEMENTS).items() if of == judged]
+        return next((name for name in flags if name in self.store.variables), "")
 
     def map(self, view: View, stale: Stale = lambda: False) -> Map | None:
         """The map of a view; None if it became stale meanwhile."""
@@ -193,10 +216,8 @@ class Stored:
         status = self._cells("status", view)
         if own:
             status = np.where(status == OK, self._cells(own, view), status)
-        judged = ERRORS.get(view.metric, view.metric)
-        flags = [n for n, of in (JUDGEMENTS | OLD_JUDGEMENTS).items() if of == judged]
-        flag = next((name for name in flags if name in self.store.variables), None)
-        untrusted = None if flag is None else self._cells(flag, view) == NOT_TRUSTED
+        flag = self._flag(view.metric)
+        untrusted = self._cells(flag, view) == NOT_TRUSTED if flag else None
         converged = None
         if self.has_motion and "convergence_time" in self.store.variables:
             converged = np.isfinite(self._cells("convergence_time", view))
@@ -257,12 +278,12 @@ class Stored:
         """A part of a variable: from memory, where blocks are loaded as they are needed."""
         if self.grid.cells > MOST_HELD:
             return np.asarray(self.store.array(name)[index])
-        if name not in self._variables:
+        variable = self._variables.get(name)
+        if variable is None:
             array = self.store.array(name)
             fill = 0 if array.dtype.kind == "u" else np.nan
-            self._variables[name] = Variable(self.grid.shape, array.dtype, fill)
+            variable = self._variables[name] = Variable(self.grid.shape, array.dtype, fill)
             self._forget()
-        variable = self._variables[name]
         for block in self._blocks(index):
             when = self._done.get(block)
             if when is not None and variable.loaded.get(block) != when:
@@ -272,23 +293,40 @@ class Stored:
         return variable.values[index]
 
     def _forget(self) -> None:
-        """Drop the metrics that were shown longest ago."""
+        """Drop the metrics that were loaded longest ago."""
         own = {"status", "convergence_time"}
         metrics = [n for n in self._variables if n not in own and n not in FLAGS]
         for name in metrics[:-LATEST]:
-            del self._variables[name]
+            self._variables.pop(name, None)
 
     def _blocks(self, index: tuple[int | slice, ...]) -> Iterator[int]:
         """The numbers of the blocks that a part of the cells lies in."""
         sides = zip(index, self.grid.block_shape, self.grid.counts, strict=True)
-        ranges = [range(n) if isinstance(i, slice) else (i // side,) for i, side, n in sides]
+        ranges = [
+            range((i.start or 0) // side, n if i.stop is None else -(-i.stop // side))
+            if isinstance(i, slice)
+            else (i // side,)
+            for i, side, n in sides
+        ]
         for place in itertools.product(*ranges):
             yield int(np.ravel_multi_index(place, self.grid.counts))
 
-    def load(self, name: str) -> None:
-        """Load all blocks of a variable that are done, so that no slider waits for the disk."""
-        if self.grid.cells <= MOST_HELD:
-            self._read(name, tuple(slice(None) for _ in self.grid.dims))
+    def place(self, view: View) -> dict[str, Value] | None:
+        """What the selected cell is at; of a worst case, the cell that is the worst."""
+        place = view.place()
+        if place is None or not view.over or view.how != "worst":
+            return place
+        index = [
+            slice(None) if dim in view.over else self._position(dim, values, place[dim])
+            for dim, values in self.coordinates.items()
+        ]
+        cells = self._read(view.metric, tuple(index))
+        worst = np.unravel_index(_farthest(cells.ravel(), view.metric), cells.shape)
+        dims = [dim for dim in self.coordinates if dim in view.over]
+        for dim, i in zip(dims, worst, strict=True):
+            value = self.coordinates[dim][i]
+            place[dim] = str(value) if dim in self.space.words else float(value)
+        return place
 
     def scenario(self, place: Mapping[str, Value]) -> Scenario:
         """The scenario of a cell."""
@@ -416,10 +454,12 @@ def reduced(
     if view.how == "median":
         return np.asarray(np.median(values, gone))
     flat = values.reshape(*values.shape[:2], -1)
-    if view.metric in maps.SIGNED_METRICS:
-        far = np.nan_to_num(np.abs(flat), nan=np.inf).argmax(-1)
-        return np.asarray(np.take_along_axis(flat, far[..., None], -1)[..., 0])
-    return np.asarray(flat.max(-1))
+    return np.asarray(np.take_along_axis(flat, _farthest(flat, view.metric)[..., None], -1)[..., 0])
+
+
+def _farthest(values: NDArray[Any], metric: str) -> NDArray[np.intp]:
+    """The index of the worst value along the last dimension, or of the first without a number."""
+    return np.asarray(np.argmax(np.abs(values) if metric in maps.SIGNED_METRICS else values, -1))
 
 
 def worst_status(status: NDArray[Any], gone: tuple[int, ...], how: How) -> NDArray[Any]:

@@ -77,9 +77,8 @@ class View:
         cell = cell or self.cell
         return None if cell is None else {**self.at, self.x: cell[0], self.y: cell[1]}
 
-    def pinned(self) -> Self:
-        """With the selected cell among the pins, the oldest one gone if there are too many."""
-        here = self.place()
+    def pinned(self, here: Mapping[str, Value] | None) -> Self:
+        """With a place among the pins, the oldest one gone if there are too many."""
         if here is None or here in self.pins:
             return self
         return replace(self, pins=(*self.pins, here)[-MOST_PINS:])

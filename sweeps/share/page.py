@@ -61,13 +61,20 @@ def page(
             for head, words in [*record, ("copied", f"{when:%Y-%m-%d}, by fic-sweep share")]
         ),
         sweep_file=escape(texts.sweep_file(source.grid.sweep).removeprefix(texts.STARTS)),
-        no_motion="" if source.has_motion else escape(source.no_motion),
+        no_motion="" if pins else escape(no_motion(source, view)),
         about=json.dumps(about).replace("<", "\\u003c"),
         data="\n".join(
             f'<script type="text/plain" id="{escape(name)}">{content}</script>'
             for name, content in data.items()
         ),
     )
+
+
+def no_motion(source: Stored, view: View) -> str:
+    """Why a page without pins has none."""
+    if not source.has_motion:
+        return source.no_motion
+    return f"No cell of this copy has a trusted value of {view.metric}."
 
 
 def _text(room: str, name: str) -> str:
@@ -126,7 +133,6 @@ def description(source: Stored, copy: Copy, pins: Sequence[Pin], view: View) -> 
         "palettes": [shades(name).tolist() for name in ("nmse", *maps.SIGNED_METRICS[:1])],
         "digits": 4 if copy.bits < MANTISSA else 5,
         "converged": copy.converged is not None,
-        "motion": source.has_motion,
         "pins": [
             {
                 "name": pin.name,

@@ -7,7 +7,6 @@ import numpy as np
 
 from fic_jax import TRUST, Params, sweep
 from sweeps import maps
-from sweeps.explore.cells import Row
 from sweeps.explore.motion import Motion, Scenario, motion
 from sweeps.explore.motion_figures import LOOKS, columns
 from sweeps.explore.stored import Stored
@@ -19,13 +18,12 @@ MOST_PINS = len(LOOKS["colour"])  # lines that a reader can tell apart
 
 @dataclass(frozen=True)
 class Pin:
-    """A cell of a store, its motion, and what the store has of it."""
+    """A cell of a store and its motion."""
 
     name: str  # why it is pinned
     index: tuple[int, ...]  # in the store
     motion: Motion
     nmse: float  # of the cell
-    values: list[Row]  # in the store
     note: str  # what differs from the store, or in the motion; or nothing
 
     @property
@@ -79,7 +77,7 @@ def simulated(source: Stored, cells: Sequence[tuple[str, tuple[int, ...]]]) -> l
         }
         rows = source.values(place, {})
         note = source.disagreement(rows, {"nmse": nmse}) or differs(float(one.metrics.nmse), nmse)
-        pins.append(Pin(name, index, one, nmse, rows, note))
+        pins.append(Pin(name, index, one, nmse, note))
     return pins
 
 

@@ -29,6 +29,8 @@ COMMANDS = [
     "plot",
     "history",
     "export",
+    "share",
+    "explore",
     "bench",
     "report",
 ]

@@ -126,8 +126,21 @@ def test_a_motion_has_the_numbers_of_its_cell(source, data):
         assert "another version" in source.disagreement(rows, {"nmse": 0.5})
 
 
+@pytest.mark.parametrize("metric", ["nmse", "steady_error"])
+def test_the_motion_of_a_worst_case_is_that_of_the_worst_cell(source, metric):
+    view = replace(source.start, metric=metric, over=("Td", "contact"), cell=(10.0, 1000.0))
+    found = source.map(view)
+    place = source.place(view)
+    one = motion(source.scenario(place))
+    assert getattr(one.metrics, metric) == found.values[4, 0]
+    assert place["K0"] == 1000.0
+    median = replace(view, how="median")
+    assert source.place(median) == median.place()
+
+
 def test_an_address_of_a_store_is_a_view_of_it(source):
-    view = replace(source.start, over=("Td",), how="median", cell=(10.0, 1000.0)).pinned()
+    view = replace(source.start, over=("Td",), how="median", cell=(10.0, 1000.0))
+    view = view.pinned(view.place())
     assert parse(view.query(source.defaults), source.start, source.space, source.defaults) == view
 
 
@@ -169,6 +182,18 @@ def test_a_large_store_is_read_slice_by_slice(source, data, monkeypatch):
     assert large.space.reducible == ()
     np.testing.assert_array_equal(large.map(large.start).values, source.map(source.start).values)
     assert not large._variables
+
+
+def test_blocks_are_loaded_before_a_slider_needs_them(cube):
+    source = Stored(cube)
+    (_, show), (_, load) = source.stages()
+    show(source.start, None, lambda: False)
+    assert len(source._variables["nmse"].loaded) < len(source._done)
+    load(source.start, None, lambda: True)  # a newer view waits
+    assert len(source._variables["nmse"].loaded) < len(source._done)
+    load(source.start, None, lambda: False)
+    for name in ("nmse", "nmse_trusted", "status", "convergence_time"):
+        assert len(source._variables[name].loaded) == len(source._done)
 
 
 def test_a_random_design_is_refused_with_what_draws_it(tmp_path):

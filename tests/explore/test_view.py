@@ -111,8 +111,9 @@ def test_undo_of_a_view_in_motion_returns_to_the_last_at_rest():
 
 
 def test_pins_hold_all_of_their_cell():
-    view = replace(START, cell=(50.0, 20.0)).pinned()
+    view = replace(START, cell=(50.0, 20.0))
+    view = view.pinned(view.place())
     moved = changed(view, "Td", "9", SPACE)
     (pin,) = moved.pins
     assert (pin["Td"], pin["Kenv"], pin["K0"]) == (5.0, 50.0, 20.0)
-    assert len(view.pinned().pins) == 1  # the same cell once
+    assert len(view.pinned(view.place()).pins) == 1  # the same cell once

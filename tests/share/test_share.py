@@ -87,6 +87,13 @@ def test_an_unfinished_sweep_says_so(tmp_path):
     assert re.search(r"was not finished when it was copied: \d+ of \d+ blocks are missing", text)
 
 
+def test_without_a_trusted_cell_no_motion_is_drawn(tmp_path):
+    store = ran(tmp_path / "none.zarr", JOINT, chunk=80, blocks=[])
+    file = shared(store, tmp_path)
+    assert about(file)["pins"] == []
+    assert "No cell of this copy has a trusted value of nmse." in file.read_text(encoding="utf-8")
+
+
 def test_a_reduced_store_has_maps_and_no_motion(tmp_path):
     store = ran(tmp_path / "worst.zarr", REDUCED)
     file = shared(store, tmp_path)
