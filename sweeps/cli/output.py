@@ -189,7 +189,7 @@ def share(
     most = room_for_copy(size)
     with unreadable_refused(path):
         source = Stored(path)
-        if getattr(source.grid.sweep, "refine", None):
+        if source.grid.sweep.refine:
             refuse(f"{path}: is refined, and a page has no boxes; `fic-sweep plot` draws them")
         named = _pinned(path, source, pin)
         metrics = _shared_metrics(path, source, metric)

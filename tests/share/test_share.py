@@ -22,6 +22,17 @@ method = "sobol"
 seed = 7
 ranges = { K0 = { log = [1.0, 1000.0] } }
 """
+REFINED = """
+name = "refined"
+[time]
+t_end = 0.1
+[axes]
+K0 = { log = [1.0, 100.0], n = 3 }
+Kenv = { log = [10.0, 100.0], n = 3 }
+[refine]
+levels = 1
+relative = { nmse = 0.1 }
+"""
 REDUCED = JOINT + '[reduce]\nover = ["Td"]\nmax = ["nmse"]\n'
 
 
@@ -151,6 +162,11 @@ def test_what_is_no_map_is_refused(tmp_path):
     ended = typed("share", store, "--out", tmp_path / "page.html")
     assert (ended.code, ended.stderr.count("\n")) == (2, 1)
     assert "is a random design" in ended.stderr
+    assert "fic-sweep plot" in ended.stderr
+    refined = ran(tmp_path / "refined.zarr", REFINED)
+    ended = typed("share", refined, "--out", tmp_path / "page.html")
+    assert (ended.code, ended.stderr.count("\n")) == (2, 1)
+    assert "is refined" in ended.stderr
     assert "fic-sweep plot" in ended.stderr
 
 
