@@ -2,12 +2,13 @@
 # make test    lint, types and all tests
 # make torture the tests of stores and kernels at length (FIC_SWEEP_TORTURE=1), an hour on two cores, with counts
 # make coverage how much of the store, the ledger and the planner the tests run
+# make docs    the documentation in HTML, under docs/_build/html
 # make picture remake the README's picture
 # make figures the paper's figures, and those of a report that has run, under results/figures/
 # make gpu     measure everything on an NVIDIA card, with the packages that are there: tables under results/gpu/
 #              make gpu GPU="--only rates --limit 600"; python -m benchmarks.gpu --help lists the options
 # make explore-speed  measure the explorer's page in headless Chromium, a minute or two
-# make clean   remove the results, as after a change of the program; make distclean the environment too
+# make clean   remove the results, as after a change of the program; make distclean the environment and the documentation too
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -20,11 +21,11 @@ run = for name in $(1); do \
 # every branch of what a sweep's numbers hang on; of the rest all but a few
 WHOLE := $(addprefix store/,fsync lock ledger opening commit) plan/grid
 NEARLY := $(addprefix store/,format create extend verify) runner plan/random_design
-STORE_TESTS := tests/store tests/test_runner.py tests/spec tests/plan
+STORE_TESTS := tests/store tests/refine tests/test_runner.py tests/spec tests/plan
 modules = $(subst $() ,$(comma),$(patsubst %,sweeps/%.py,$(1)))
 comma := ,
 
-.PHONY: sweep test lint torture coverage picture figures gpu explore-speed clean distclean
+.PHONY: sweep test lint torture coverage docs picture figures gpu explore-speed clean distclean
 
 sweep: $(VENV)/installed
 	@mkdir -p results
@@ -50,6 +51,11 @@ coverage: $(VENV)/installed
 	$(BIN)/coverage report --fail-under=100 --include=$(call modules,$(WHOLE))
 	$(BIN)/coverage report --fail-under=98 --include=$(call modules,$(NEARLY))
 
+# -E: tables follow the program, -W: a warning fails the build, -n: so does a reference to nothing
+docs: $(VENV)/installed
+	$(BIN)/python -m sphinx -E -W -n --keep-going -q -b html docs docs/_build/html
+	@echo docs/_build/html/index.html
+
 picture:
 	@[ -e results/atlas-small.zarr ] || $(MAKE) sweep
 	$(BIN)/python -m figures.overview results --readme docs/overview.png
@@ -74,11 +80,11 @@ $(VENV)/installed: pyproject.toml constraints.txt
 	@$(PYTHON) -m venv $(VENV)
 	@# compat: a path entry, so that a folder named fic_jax around it can't shadow the package
 	@$(BIN)/pip install --quiet --disable-pip-version-check --config-settings editable_mode=compat \
-	  -c constraints.txt -e '.[test,export,bench,fast,dask,explore]'
+	  -c constraints.txt -e '.[test,export,bench,fast,dask,docs,explore]'
 	@touch $@
 
 clean:
 	rm -rf results
 
 distclean: clean
-	rm -rf $(VENV)
+	rm -rf $(VENV) docs/_build

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from fic_jax.display import Displayed, Table, row
 from fic_jax.environment import in_contact, interaction_torque
 from fic_jax.events import Interval
 from fic_jax.inputs import Scalar, transferred
@@ -30,8 +31,8 @@ def _metric(unit: str, meaning: str) -> Any:
 
 
 @jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Metrics:
+@dataclass(frozen=True, repr=False)
+class Metrics(Displayed):
     """The metrics of one scenario (scalars) or of N ([N] leaves); METRICS has their units."""
 
     nmse: Scalar = _metric("1", "normalised mean square torque error, whole run")
@@ -47,6 +48,9 @@ class Metrics:
     mode_switches: Scalar = _metric("1", "switches between divergence and convergence")
     energy_in: Scalar = _metric("J", "work done by the controller")
     finite: Scalar = _metric("1", "1 if the run stayed within the finite numbers")
+
+    def _table(self) -> Table:
+        return Table("Metrics", [row(n, value, METRICS[n]) for n, value in vars(self).items()])
 
 
 METRICS = {f.name: f.metadata for f in dataclasses.fields(Metrics)}

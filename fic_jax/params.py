@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from fic_jax.display import Displayed, Row, Table, is_default, row
 from fic_jax.inputs import (
     ParamsError,
     Scalar,
@@ -32,8 +33,8 @@ def _quantity(default: float, unit: str, meaning: str, bound: str = "finite") ->
 
 
 @jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Params:
+@dataclass(frozen=True, repr=False)
+class Params(Displayed):
     """The numbers of one scenario (scalars), or of N scenarios ([N] leaves), in SI units.
 
     The defaults are the paper's: a rotation about one axis (Sec. IV). A sweep may vary each field.
@@ -58,6 +59,16 @@ class Params:
     def __new__(cls, *_: Any, **named: Any) -> "Params":
         """Raise UnknownFieldError for a field that Params does not have."""
         return _with_known_fields(cls, named)
+
+    def _table(self) -> Table:
+        rows = {name: row(name, value, QUANTITIES[name]) for name, value in vars(self).items()}
+        papers = [
+            name
+            for name, value in vars(self).items()
+            if is_default(value, Params.__dataclass_fields__[name].default)
+        ]
+        own = [row for name, row in rows.items() if name not in papers]
+        return Table("Params", own, "as in the paper", [rows[name] for name in papers])
 
 
 def meaning(about: Mapping[str, str]) -> str:
@@ -117,6 +128,20 @@ class Model:
     feedback: Feedback = "interaction"
     contact: Contact = "hard_stop"
     integrator: Integrator = "rk4"
+
+    def __repr__(self) -> str:
+        """The choices that are not the default: as Python writes them, for help() and logs."""
+        own = [f"{n}={getattr(self, n)!r}" for n, o in CHOICES.items() if getattr(self, n) != o[0]]
+        return f"Model({', '.join(own)})"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            Row(name, getattr(self, name), meaning=f"one of {', '.join(options)}")
+            for name, options in CHOICES.items()
+        ]
+        defaults = [row for row in rows if row.value == CHOICES[row.name][0]]
+        own = [row for row in rows if row not in defaults]
+        return Table("Model", own, "by default", defaults).html()
 
     def __new__(cls, *_: Any, **named: Any) -> "Model":
         """Raise UnknownFieldError for a choice that Model does not have."""

@@ -18,6 +18,7 @@ from fic_jax.controller import (
     peak_error_after,
     torque,
 )
+from fic_jax.display import Displayed, Table, row
 from fic_jax.environment import in_contact, interaction_torque
 from fic_jax.events import PIECES, Interval, advance_to_switch
 from fic_jax.exploration import expected_reference, explore
@@ -77,8 +78,8 @@ def _signal(unit: str, meaning: str) -> Any:
 
 
 @jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class Sample:
+@dataclass(frozen=True, repr=False)
+class Sample(Displayed):
     """The signals at the end of plant step k (from 0), time (k + 1) dt; scalars or [n_steps]."""
 
     t: Scalar = _signal("s", "time")
@@ -91,6 +92,9 @@ class Sample:
     torque: Scalar = _signal("N*m", "torque of the controller")
     tau_env: Scalar = _signal("N*m", "torque on the environment")
     work: Scalar = _signal("J", "work done by the controller in the step")
+
+    def _table(self) -> Table:
+        return Table("Sample", [row(n, value, SIGNALS[n]) for n, value in vars(self).items()])
 
 
 SIGNALS = {f.name: f.metadata for f in dataclasses.fields(Sample)}

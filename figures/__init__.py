@@ -4,7 +4,7 @@
 - `planes`: two dimensions; `heatmap` draws one plane or a row (`panels`) under one colour scale
 - `points`: one dimension, as a line or as dots
 - `choose`: which of them a request names
-- `ticks`, `colours`, `border`, `hatch`, `caption`: parts of these pictures, and their words
+- `ticks`, `colours`, `border`, `hatch`, `mesh`, `caption`: parts of these pictures, and their words
 - `history`: time histories of named cells
 - `style`: sizes, symbols, colours, number formats, and `save`
 - `overview`: the pictures of `make sweep`; `precision`: float32 beside float64

@@ -29,6 +29,8 @@ class Border:
 def between(plane: Plane) -> Border | None:
     """The border of a plane's metric; None if the metric has none, or no cell lies beyond it."""
     values, infinite = plane.values, plane.special.get("infinite")
+    if plane.choices:
+        return None
     level = maps.LEVELS.get(plane.metric)
     if level is not None:
         text, inside = f"{plane.metric} = {level:g}", np.asarray(values.filled(np.inf) <= level)

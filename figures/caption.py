@@ -27,6 +27,11 @@ def titles(
     return "\n".join(line for line in head if line), panels
 
 
+def of_choices(head: str, part: Cells, width: float) -> str:
+    """A title with the label of what is drawn below it, if that has no colour bar: choices."""
+    return "\n".join([head, style.fold(part.label, width)]) if part.choices else head
+
+
 def held(parts: Sequence[Cells], width: float) -> str:
     """What all panels hold constant, defaults included, in small lines of `width` points."""
     texts = shared([part.held for part in parts])

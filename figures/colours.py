@@ -6,8 +6,9 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Colormap, LogNorm, Normalize
+from matplotlib.colors import Colormap, ListedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
@@ -22,14 +23,22 @@ def pool(parts: Sequence[Cells]) -> NDArray[np.float64]:
     return np.concatenate([np.ravel(part.values.compressed()) for part in parts])
 
 
-def colour_map(metric: str) -> Colormap:
-    """Colours that show the sign, or the size."""
-    return style.DIVERGING if metric in maps.SIGNED_METRICS else colormaps[style.SEQUENTIAL]
+def colour_map(part: Cells) -> Colormap:
+    """Colours that show the sign, or the size; of choices, one for each."""
+    if part.choices:
+        return ListedColormap(style.CHOICES[: len(part.choices)])
+    signed = part.metric in maps.SIGNED_METRICS
+    return style.DIVERGING if signed else colormaps[style.SEQUENTIAL]
 
 
-def norm(metric: str, values: NDArray[np.float64]) -> Normalize:
-    """A scale between round numbers around the middle 98 % of the values."""
-    low, high, log = maps.limits(metric, values)
+def norm(part: Cells, values: NDArray[np.float64]) -> Normalize:
+    """A scale between round numbers around the middle 98 % of the values.
+
+    Values of an axis have the spacing of the axis.
+    """
+    if part.choices:
+        return Normalize(0.5, len(part.choices) + 0.5)
+    low, high, log = maps.limits(part.metric, values, part.spacing)
     if log:
         # clip: an exact zero gets the lowest colour; without it the cell would be blank
         return LogNorm(low, high, clip=True)
@@ -37,6 +46,14 @@ def norm(metric: str, values: NDArray[np.float64]) -> Normalize:
         return Normalize(low, high)
     ticks = MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
     return Normalize(ticks[0], ticks[-1])
+
+
+def choice_entries(part: Cells) -> dict[str, Patch]:
+    """Text -> box, for each choice."""
+    return {
+        choice: Patch(facecolor=colour, linewidth=0.5, edgecolor="black")
+        for choice, colour in zip(part.choices, style.CHOICES, strict=False)
+    }
 
 
 def extend(values: NDArray[np.float64], scale: Normalize) -> str:
@@ -50,7 +67,7 @@ def bar(
     fig: Figure, drawn: ScalarMappable, axes: list[Axes], part: Cells, values: NDArray[np.float64]
 ) -> None:
     """One colour bar for a row of axes, with its arrows, and the level that their lines follow."""
-    scale = norm(part.metric, values)
+    scale = norm(part, values)
     bar = fig.colorbar(
         drawn, ax=axes, extend=extend(values, scale), fraction=0.08, pad=0.02, aspect=22
     )

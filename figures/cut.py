@@ -12,19 +12,26 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from fic_jax import QUANTITIES
-from figures import style
+from figures import reduction, style
 from sweeps import maps
 from sweeps.maps import edges_of
 from sweeps.spec.digits import LEAST, digits
 from sweeps.store.format import (
+    DIVERGED,
+    DIVERGED_NEAR,
     ERRORS,
     FLAGS,
     JUDGEMENTS,
+    LEVEL,
+    NEAR,
+    NO_LEVEL,
     OK,
+    OK_NEAR,
     OLD_JUDGEMENTS,
     REFUSED,
     TRUSTED,
 )
+from sweeps.store.reduced import NONE
 
 MOST_COMPARED = 100_000  # values of a dimension; the digits of more are not compared
 Wanted = Mapping[str, float | str]  # dimension -> the value at which it is fixed
@@ -43,11 +50,15 @@ class Cells:
     values: np.ma.MaskedArray[Any, Any]
     special: Mapping[str, NDArray[np.bool_]]  # reason, a key of style.HATCHES -> cells
     untrusted: NDArray[np.bool_] | None  # cells that ran but are not trusted; None: unknown
+    simulated: NDArray[np.bool_] | None  # the others have a value from beside; None: not refined
+    level: NDArray[np.int_] | None  # how often the grid was halved around the cell
     trust_bound: str  # largest error of a trusted cell, as a formula
     name: str  # what the sweep is, in words
     fixed: tuple[str, ...]  # "symbol = value unit" of each fixed dimension, and the contact
     held: tuple[str, ...]  # the same of all that the sweep holds constant
     cut: Mapping[str, str]  # fixed dimension -> its value, in digits that tell it from the others
+    spacing: str  # of the axis whose values these are, "log" or "linear"; empty of others
+    choices: tuple[str, ...]  # words of the values 1, 2, ...; empty if they are numbers
 
 
 def cut(data: xr.Dataset, drawn: Collection[str], metric: str, at: Wanted) -> xr.Dataset:
@@ -67,7 +78,7 @@ def cut(data: xr.Dataset, drawn: Collection[str], metric: str, at: Wanted) -> xr
         for dim in data[metric].dims
         if dim not in drawn
     }
-    names = (metric, _judgement(data, metric), _own_status(data, metric), "status")
+    names = (metric, _judgement(data, metric), _own_status(data, metric), LEVEL, "status")
     wanted = [name for name in names if name in data]
     # isel before load: a store may be larger than memory, a picture is not
     part = data[wanted].isel(index).load()
@@ -89,8 +100,14 @@ def cells(part: xr.Dataset, metric: str) -> Cells:
     """What `cut` has found, cell by cell."""
     array = part[metric]
     values = array.values.astype(float)
+    choices = _choices(array)
+    if choices:
+        values = np.where(values > 0, values, np.nan)
     # xarray decodes status 0, the fill value, as NaN
     status = np.nan_to_num(part["status"].values) if "status" in part else np.ones(values.shape)
+    near = np.isin(status, list(NEAR.values()))
+    for code, meant in ((OK_NEAR, OK), (DIVERGED_NEAR, DIVERGED)):
+        status = np.where(status == code, meant, status)
     if own := _own_status(part, metric):
         status = np.where(status == OK, np.nan_to_num(part[own].values), status)
     special = {key: status == code for key, code in REFUSED.items() if code != OK}
@@ -107,12 +124,21 @@ def cells(part: xr.Dataset, metric: str) -> Cells:
         values=np.ma.masked_array(values, mask=hidden),
         special={key: cells for key, cells in special.items() if cells.any()},
         untrusted=good & (part[judgement].values != TRUSTED) if judgement else None,
+        simulated=~near if LEVEL in part else None,
+        level=_levels(part[LEVEL].values) if LEVEL in part else None,
         trust_bound=_bound(part, judgement) if judgement else "",
         name=str(part.attrs.get("description") or part.attrs.get("name", "")),
         fixed=(*contact, *(_equation(c, n.get(c.name)) for c in _fixed(part))),
         held=held,
         cut=part.attrs["cut"],
+        spacing=reduction.spacing(part, metric),
+        choices=tuple(style.words(choice) for choice in choices),
     )
+
+
+def _levels(values: NDArray[Any]) -> NDArray[np.int_]:
+    """Levels as whole numbers; xarray decodes those that are not known as NaN."""
+    return np.asarray(np.nan_to_num(values, nan=NO_LEVEL), dtype=int)
 
 
 def require_metric(metric: str, data: xr.Dataset) -> None:
@@ -128,15 +154,18 @@ def require_metric(metric: str, data: xr.Dataset) -> None:
         raise PlotError(
             f"'{metric}' is no metric: a picture of '{judged}' marks what is not trusted."
         )
-    numbers = [
-        n for n, v in data.data_vars.items() if n not in FLAGS and "flag_values" not in v.attrs
-    ]
-    _require(metric, numbers, "metric")
+    states = [n for n, v in data.data_vars.items() if n in FLAGS or _is_state(v)]
+    if metric in states:
+        hatched = "a picture of a metric hatches what has no value"
+        raise PlotError(f"'{metric}' is no metric: {hatched}.")
+    _require(metric, [n for n in data.data_vars if n not in states], "metric")
 
 
 def require_dimension(name: str, data: xr.Dataset, metric: str) -> None:
     """Raise PlotError unless a metric has a dimension of that name."""
     dims = [str(dim) for dim in data[metric].dims]
+    if gone := reduction.why_gone(data, name, ", ".join(dims)):
+        raise PlotError(gone)
     held = json.loads(data.attrs.get("held", "{}"))
     if name in held and name not in dims:
         value = held[name]
@@ -162,6 +191,17 @@ def _judgement(data: xr.Dataset, metric: str) -> str:
     judged = ERRORS.get(metric, metric)
     names = (name for name, of in (JUDGEMENTS | OLD_JUDGEMENTS).items() if of == judged)
     return next((name for name in names if name in data), "")
+
+
+def _choices(array: xr.DataArray) -> list[str]:
+    """The choices of the model that a variable of a reduced store has; empty if it has numbers."""
+    none, *choices = str(array.attrs.get("flag_meanings", "")).split() or [""]
+    return choices if none == NONE else []
+
+
+def _is_state(array: xr.DataArray) -> bool:
+    """Whether a variable says what became of cells."""
+    return "flag_values" in array.attrs and not _choices(array)
 
 
 def _own_status(data: xr.Dataset, metric: str) -> str:
@@ -223,21 +263,7 @@ def _held(data: xr.Dataset) -> tuple[tuple[str, ...], tuple[str, ...]]:
     rest += [f"{zero} = 0"] if zero else []
     rest[:1] = [f"by default {text}" for text in rest[:1]]
     contact = (style.words(choices["contact"]),) if "contact" in choices else ()
-    return contact, (*given, *times, *rest, *_reduced(data))
-
-
-def _reduced(data: xr.Dataset) -> list[str]:
-    """What varied along the dimensions that a reduced store does not have."""
-    texts = []
-    for name, (n, *values) in json.loads(data.attrs.get("reduced_over", "{}")).items():
-        if name in QUANTITIES:
-            low, high = (style.number(value, digits(values)) for value in values)
-            unit = style.units_text(QUANTITIES[name]["unit"])
-            said = f"{style.SYMBOLS[name]} = {low} to {high} {unit}".strip()
-        else:
-            said = " and ".join(style.words(value) for value in values)
-        texts.append(f"over {n:,} values of {said}")
-    return texts
+    return contact, (*given, *times, *rest, *reduction.over(data))
 
 
 def _constant(name: str, value: float) -> str:

@@ -120,16 +120,18 @@ def special_entries(parts: Sequence[Of]) -> dict[str, Handle]:
 
 def special_text(key: str, parts: Sequence[Of]) -> str:
     """Why cells have no value, with their share of each panel."""
-    words = {"not run": "not run yet", "infinite": maps.INFINITE.get(parts[0].metric, "infinite")}
+    none = "none is best" if parts[0].metric.startswith("best_") else "no value"
+    infinite = maps.INFINITE.get(parts[0].metric, "infinite")
+    words = {"not run": "not run yet", "infinite": infinite, "no value": none}
     cells = [part.special.get(key, np.zeros(1, bool)) for part in parts]
-    return f"{words.get(key, key)} ({_shares(cells)})"
+    return f"{words.get(key, key)} ({shares(cells)})"
 
 
 def doubt_text(parts: Sequence[Of]) -> str:
     """When a cell is not trusted, with the share of each panel."""
     bounds = dict.fromkeys(part.trust_bound for part in parts if part.trust_bound)
     error = f"error > {' or '.join(bounds)}"
-    return f"not trusted: {error} ({_shares([part.untrusted for part in parts])})"
+    return f"not trusted: {error} ({shares([part.untrusted for part in parts])})"
 
 
 def legend_columns(entries: Iterable[str], width: float) -> int:
@@ -141,7 +143,7 @@ def legend_columns(entries: Iterable[str], width: float) -> int:
     return columns
 
 
-def _shares(panels: Sequence[Cells | None]) -> str:
+def shares(panels: Sequence[Cells | None]) -> str:
     """Share of each panel's cells in percent; a dash for a store without estimates."""
     shares = ["–" if cells is None else style.share(float(cells.mean())) for cells in panels]
     return f"{', '.join(shares)} %"

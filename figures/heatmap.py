@@ -12,7 +12,7 @@ from matplotlib.collections import QuadMesh
 from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure
 
-from figures import border, caption, colours, hatch, style, ticks
+from figures import border, caption, colours, hatch, mesh, style, ticks
 from figures.cut import PlotError
 from figures.planes import Axis, Plane
 
@@ -40,21 +40,22 @@ def panels(items: Sequence[tuple[str, Plane]]) -> Figure:
     room = (72 * width - BAR_ROOM - labels) / len(items) - 8
     with style.look():
         head, titles = caption.titles(items, 72 * width - 10, room + 8)
+        head = caption.of_choices(head, planes[0], 72 * width - 10)
         held = caption.held(planes, 72 * width - 10)
-        entries = hatch.legend_entries(planes)
+        entries = colours.choice_entries(planes[0]) | hatch.legend_entries(planes)
         borders = [border.between(plane) for plane in planes]
         for line in borders:
             entries |= border.legend_entry(line) if line else {}
+        entries |= mesh.legend_entry(planes)
         columns = hatch.legend_columns(entries, width)
         lines = head.count("\n") + max(text.count("\n") for text in titles)
         small = math.ceil(len(entries) / columns) + 0.75 * (held.count("\n") + bool(held))
         fig = Figure(figsize=(width, 2.55 + 0.13 * lines + 0.15 * small))
         grid = list(fig.subplots(1, len(items), sharey=shared, squeeze=False)[0])
         pool = colours.pool(planes)
-        metric = planes[0].metric
-        cmap, norm = colours.colour_map(metric), colours.norm(metric, pool)
+        cmap, norm = colours.colour_map(planes[0]), colours.norm(planes[0], pool)
         for ax, plane, line, title in zip(grid, planes, borders, titles, strict=True):
-            mesh = _panel(ax, plane, cmap, norm, room)
+            coloured = _panel(ax, plane, cmap, norm, room)
             ax.set_title(title)
             for lines_drawn in border.drawn(line) if line else ():
                 ax.add_collection(lines_drawn, autolim=False)
@@ -62,8 +63,8 @@ def panels(items: Sequence[tuple[str, Plane]]) -> Figure:
                 ax.set_ylabel("")
                 ax.tick_params(labelleft=False)
         fig.suptitle(head)
-        if pool.size:
-            colours.bar(fig, mesh, grid, planes[0], pool)
+        if pool.size and not planes[0].choices:
+            colours.bar(fig, coloured, grid, planes[0], pool)
         hatch.legend(fig, entries, columns, held, len(planes))
     return fig
 
@@ -81,18 +82,20 @@ def _panel(ax: Axes, plane: Plane, cmap: Colormap, norm: Normalize, room: float)
     """Draw one plane into `ax`, about `room` points wide."""
     ax.set_xscale("log" if plane.x.scale == "log" else "linear")
     ax.set_yscale("log" if plane.y.scale == "log" else "linear")
-    mesh = ax.pcolormesh(
+    colours_drawn = ax.pcolormesh(
         plane.x.edges, plane.y.edges, plane.values, cmap=cmap, norm=norm, rasterized=True, zorder=1
     )
     for patch in (*hatch.under(plane), *hatch.over(plane)):
         ax.add_artist(patch)  # add_patch would compute limits from every corner
+    for boxes in mesh.lines(plane, room, PANEL_HEIGHT):
+        ax.add_collection(boxes, autolim=False)
     for drawn, axis, length in ((ax.xaxis, plane.x, room), (ax.yaxis, plane.y, PANEL_HEIGHT)):
         ticks.draw(drawn, axis, length)
     ax.set_xlim(plane.x.edges[0], plane.x.edges[-1])
     ax.set_ylim(plane.y.edges[0], plane.y.edges[-1])
-    if max(plane.values.shape) <= FEW_CELLS:
+    if max(plane.values.shape) <= FEW_CELLS and not plane.choices:
         _cell_numbers(ax, plane, cmap, norm, room)
-    return mesh
+    return colours_drawn
 
 
 def _cell_numbers(ax: Axes, plane: Plane, cmap: Colormap, norm: Normalize, room: float) -> None:

@@ -47,6 +47,7 @@ class Plane(Cells):
 
     x: Axis
     y: Axis
+    levels: int = 0  # how often both axes were halved at most
 
 
 def select(
@@ -70,7 +71,9 @@ def select(
     for dim in (x, y):
         if scale_of(plane[dim]) != "category" and not plane.indexes[dim].is_monotonic_increasing:
             plane = plane.sortby(dim)
-    return Plane(**vars(cells(plane, metric)), x=axis(plane[x]), y=axis(plane[y]))
+    halved = {x, y} <= set(str(data.attrs.get("refined_axes", "")).split())
+    levels = int(data.attrs["refined_levels"]) if halved else 0
+    return Plane(**vars(cells(plane, metric)), x=axis(plane[x]), y=axis(plane[y]), levels=levels)
 
 
 def axis(coordinate: xr.DataArray) -> Axis:

@@ -59,7 +59,7 @@ class Points(Cells):
     @property
     def joined(self) -> bool:
         """Whether a line joins the values."""
-        return self.own and self.x.scale != "category"
+        return self.own and self.x.scale != "category" and not self.choices
 
 
 def select(
@@ -145,9 +145,10 @@ def draw(points: Points) -> Figure:
     with style.look():
         width = 72 * style.COLUMN_WIDTH - 10
         head, _ = caption.titles([("", points)], width, width)
+        head = head if points.y is None else caption.of_choices(head, points, width)
         held = caption.held([points], width)
         pool = colours.pool([points])
-        norm = colours.norm(points.metric, pool)
+        norm = colours.norm(points, pool)
         fig = Figure()
         ax = fig.subplots()
         ax.set_xscale("log" if points.x.scale == "log" else "linear")
@@ -175,7 +176,17 @@ def _heights(ax: Axes, points: Points, log: bool) -> dict[str, hatch.Handle]:
     if points.joined:
         ax.plot(x, y, color=LINE, lw=1.0, zorder=2)
     size = 3.5 if points.joined else 2.5
-    if not points.joined or y.size <= FEW_MARKERS:
+    refined = points.simulated is not None
+    own = points.simulated if points.simulated is not None else np.ones(y.shape, bool)
+    if refined:  # between the markers the line has steps
+        marker: dict[str, Any] = {"marker": "o", "color": LINE, "ms": size / 2, "mew": 0}
+        ax.plot(x[own & ~doubt], y[own & ~doubt], ls="", zorder=3, **marker)
+        share = style.share(float(own.mean()))
+        entries[f"{share} % of cells simulated; between them a value from beside"] = Line2D(
+            [], [], lw=1.0, **marker
+        )
+        doubt = doubt & own
+    elif not points.joined or y.size <= FEW_MARKERS:
         ax.plot(x[~doubt], y[~doubt], "o", color=LINE, ms=size, mew=0, zorder=3)
     if doubt.any():
         look: dict[str, Any] = {"mfc": "white", "color": DOUBT, "mew": 0.7, "ms": size}
@@ -193,6 +204,9 @@ def _heights(ax: Axes, points: Points, log: bool) -> dict[str, hatch.Handle]:
         kind = {"linthresh": positive.min()} if positive.size < values.size else {}
         ax.set_yscale("symlog" if kind else "log", **kind)
     ax.set_ylabel(style.fold(points.label, 150))
+    if points.choices:
+        ax.set_yticks(range(1, len(points.choices) + 1), points.choices)
+        ax.set_ylim(0.5, len(points.choices) + 0.5)
     if points.own:
         for path, look in hatch.bands(points.x.edges, points.special):
             across = ax.get_xaxis_transform()
@@ -208,10 +222,10 @@ def _colours(
     x, y, doubt = _places(points), side.values.astype(float), points.untrusted
     known = ~np.ma.getmaskarray(points.values)
     doubt = np.zeros(known.shape, bool) if doubt is None else doubt & known
-    entries: dict[str, hatch.Handle] = {}
+    entries: dict[str, hatch.Handle] = {**colours.choice_entries(points)}
     kind: dict[str, Any] = {
-        "cmap": colours.colour_map(points.metric),
-        "norm": colours.norm(points.metric, pool),
+        "cmap": colours.colour_map(points),
+        "norm": colours.norm(points, pool),
         "rasterized": True,
     }
     sure = known & ~doubt
@@ -228,7 +242,7 @@ def _colours(
         entries[hatch.special_text(key, [points])] = Line2D([], [], **mark)
     ticks.draw(ax.yaxis, side, PANEL_HEIGHT)
     ax.set_ylim(side.edges[0], side.edges[-1])
-    if pool.size:
+    if pool.size and not points.choices:
         colours.bar(fig, drawn, [ax], points, pool)
     return entries
 

@@ -69,6 +69,8 @@ def look() -> Iterator[None]:
 
 # as in the browser
 SYMBOLS, SEQUENTIAL, words = maps.SYMBOLS, maps.SEQUENTIAL, maps.words
+# Of choices (Okabe and Ito): any two differ for colour-blind readers, the first three in grey too.
+CHOICES = ["#0072B2", "#F0E442", "#D55E00", "#56B4E9", "#009E73", "#CC79A7"]
 # Of lines on white: blue to orange. Its lighter end has a contrast below 3 and fades in print.
 ORDERED, LIGHTEST = "plasma", 0.63
 DIVERGING = LinearSegmentedColormap.from_list("signed", maps.SIGNED_COLOURS)

@@ -5,6 +5,7 @@
 - `store`: the result store on disk
 - `merge`: one store of the shards of a sweep
 - `reduce`: the statistics of a reduced store, from cells that are computed or read
+- `refine`: which cells of a refined store are simulated, round after round
 - `runner`: computes the blocks of a store; `provenance`: names the program and the machine
 - `cluster`: the blocks of a store on the workers of a Dask client; `worker`: what each worker does
 - `devices`: starts JAX, or names the variable of the environment that keeps it from starting
@@ -16,9 +17,10 @@
 - `paper`: the paper's scenarios and claims, and the report about them
 - `cli`: the command `fic-sweep`
 
-From Python, `sweeps.run` does what the command `run` does.
+From Python, `sweeps.run` does what the command `run` does, and `sweeps.load` reads a sweep file.
 
-Imports point one way: cli -> paper -> runner -> reduce -> store -> plan -> spec -> fic_jax.
+Imports point one way: cli -> paper -> runner -> {reduce, refine} -> store -> plan -> spec ->
+fic_jax.
 """
 
 from pathlib import Path
@@ -32,6 +34,18 @@ if TYPE_CHECKING:
     from sweeps.store.opening import Store
 
 LIBRARY = Path(__file__).parent / "library"
+
+
+def load(sweep: "str | Path") -> "Sweep":
+    """A sweep of the library, by its name, or of a sweep file, by its path.
+
+    Raises SweepError, with a line for each mistake in the file.
+    """
+    from sweeps.spec import reading
+
+    in_library = LIBRARY / f"{sweep}.toml"
+    known = isinstance(sweep, str) and "/" not in sweep and in_library.is_file()
+    return reading.load(in_library if known else Path(sweep))
 
 
 def run(
@@ -48,7 +62,7 @@ def run(
     path: default NAME.zarr
     client: a `distributed.Client`, whose workers compute the blocks; None: this process does
     chunk: most cells of a block
-    on_progress: is called with a `runner.Progress` after each block
+    on_progress: is called with a `runner.Progress` after each block; `print` shows a line for each
 
     A block that could not be computed is set aside: `Counts.of(store).set_aside` names it. Raises
     SweepError for a wrong request, OSError if the disk or the cluster fails; finished blocks stay.
@@ -57,13 +71,15 @@ def run(
 
     from sweeps import runner
     from sweeps.spec.mistakes import SweepError
-    from sweeps.spec.reading import load
+    from sweeps.store.create import taken_back_if_refused
     from sweeps.store.opening import open_store
 
     if isinstance(sweep, str | Path):
-        in_library = LIBRARY / f"{sweep}.toml"
-        known = isinstance(sweep, str) and "/" not in sweep and in_library.is_file()
-        sweep = load(in_library if known else Path(sweep))
+        sweep = load(sweep)
+    if client:
+        from sweeps.cluster import Cluster, refuse_refined
+
+        refuse_refined(sweep)
     place = Path(path or f"{sweep.name}.zarr")
     try:
         runner.configure(sweep.bits)
@@ -71,11 +87,12 @@ def run(
         if sweep.bits == 64 and not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
             x64 = "`jax.config.update('jax_enable_x64', True)`"
             raise SweepError(f"{sweep.name}: precision = 64 needs {x64}") from None
-    store = runner.start_or_reopen(place, sweep, chunk, sweep.bits, None)
-    run_blocks = None
-    if client:
-        from sweeps.cluster import Cluster
+    with taken_back_if_refused(place):
+        store = runner.start_or_reopen(place, sweep, chunk, sweep.bits, None)
+        run_blocks = None
+        if client:
+            from sweeps.cluster import Cluster
 
-        run_blocks = Cluster(client, store).run_blocks
-    runner.run(store, on_progress or (lambda _: None), run_blocks=run_blocks)
+            run_blocks = Cluster(client, store).run_blocks
+        runner.run(store, on_progress or (lambda _: None), run_blocks=run_blocks)
     return open_store(store.path)

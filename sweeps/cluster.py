@@ -26,6 +26,7 @@ from sweeps import worker
 from sweeps.provenance import provenance
 from sweeps.runner import ATTEMPTS, Committed, set_aside
 from sweeps.spec.mistakes import SweepError, printable
+from sweeps.spec.types import Sweep
 from sweeps.store.commit import Writer, delete_partials
 from sweeps.store.fsync import PARTIAL
 from sweeps.store.ledger import SET_ASIDE, Row
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 WINDOW = 3  # tasks of a worker, so that it does not wait for this process
 LOOK = 0.5  # s between two looks at who is there
 CONNECT = 5.0  # s for a scheduler to answer
+READY = 60.0  # s for a worker to see the store and start JAX
 WORKERS = 60.0  # s without a worker that can compute, before a run ends
 # A block that takes longer than this hangs: many times the slowest one that has ended, because
 # blocks of other scenarios may take longer; and time to compile another model.
@@ -57,6 +59,13 @@ def check_place(place: str) -> int:
         wanted = "local:N with N workers of this machine, or a scheduler such as tcp://host:8786"
         raise SweepError(f"--dask {printable(place)}: must be {wanted}")
     return 0
+
+
+def refuse_refined(sweep: Sweep) -> None:
+    """Raise SweepError for a refined sweep: which cells it needs, its process alone knows."""
+    if sweep.refine:
+        why = "is refined, which one process does; run it without a cluster"
+        raise SweepError(f"{sweep.name}: {why}")
 
 
 @contextmanager
@@ -155,19 +164,29 @@ class Hand:
         return len(self.tasks) < WINDOW and not self.new
 
 
+@dataclass(frozen=True)
+class Greeting:
+    """What a worker answered that was to get ready."""
+
+    address: str
+    job: worker.Job
+    answer: object  # an empty text if it is; else why not, or an exception
+
+
 class Cluster:
     """The workers of a client, for one run of one store. `run_blocks` is for `runner.run`."""
 
     def __init__(self, client: "Client", store: Store) -> None:
         self.client, self.store = client, store
         self.hands: dict[str, Hand] = {}
+        self.getting_ready: dict[str, float] = {}  # address -> since when
         self.refused: dict[str, str] = {}  # address -> why
         self.hung: set[str] = set()  # addresses of workers that were given up
         self.sharing: Counter[str] = Counter()  # host -> the most workers it has had at a time
         self.slowest = 0.0  # s, of the blocks that have ended
         self.todo: deque[Task] = deque()
         self.suspects: deque[Task] = deque()
-        self.arrived: queue.SimpleQueue[Answer] = queue.SimpleQueue()
+        self.arrived: queue.SimpleQueue[Answer | Greeting] = queue.SimpleQueue()
         self.failed: list[tuple[Task, str]] = []
         self.last_look = 0.0
         self.last_hand = time.monotonic()
@@ -217,19 +236,27 @@ class Cluster:
             raise ConnectionError(f"the scheduler does not answer any more: {why}") from None
         for address in self.hands.keys() - present:
             self._lose(self.hands.pop(address))
+        for address in self.getting_ready.keys() - present:
+            del self.getting_ready[address]
+        for address, since in list(self.getting_ready.items()):
+            if now - since > READY:
+                del self.getting_ready[address]
+                self._refuse(address, f"it hangs: it is not ready after {READY:.0f} s")
         for hand in list(self.hands.values()):
             hand.new = False
             self._restart_if_hanging(hand, now)
-        self._welcome(sorted(present - self.hands.keys() - self.refused.keys()), present)
+        known = self.hands.keys() | self.getting_ready.keys() | self.refused.keys()
+        self._welcome(sorted(present - known), present)
         self._replace_lost(len(present))
+        patience = WORKERS + (READY if self.getting_ready else 0)
         if self.hands:
             self.last_hand = now
         elif present and not present - self.refused.keys():
             whys = "; ".join(f"{address}: {self.refused[address]}" for address in sorted(present))
             raise SweepError(f"{self.store.path}: no worker can run it: {whys}")
-        elif now - self.last_hand > WORKERS:
+        elif now - self.last_hand > patience:
             where = getattr(self.client.scheduler, "address", "the scheduler")
-            raise ConnectionError(f"{where} has had no worker for {WORKERS:.0f} s")
+            raise ConnectionError(f"{where} has had no worker for {patience:.0f} s")
 
     def _replace_lost(self, present: int) -> None:
         """Start the workers of this machine again that Dask has given up."""
@@ -238,25 +265,35 @@ class Cluster:
             cluster.scale(len(cluster.worker_spec))
 
     def _welcome(self, new: list[str], present: set[str]) -> None:
-        """Make new workers ready; those that can't be are named in a warning and not used."""
+        """Let new workers get ready, each in its time: one that hangs keeps nobody waiting."""
         if not new:
             return
         self.sharing |= Counter(_host(address) for address in present)
-        jobs = {a: replace(self.job, sharing=self.sharing[_host(a)]) for a in new}
-        answers: dict[str, Any] = {}
-        for sharing in {job.sharing for job in jobs.values()}:
-            some = [address for address, job in jobs.items() if job.sharing == sharing]
-            job = replace(self.job, sharing=sharing)
-            answers |= self.client.run(worker.unready, job, workers=some, on_error="return")
-        for address, answer in answers.items():
-            if answer == "":
-                self.hands[address] = Hand(address, jobs[address])
-            elif isinstance(answer, OSError):  # it has gone meanwhile
-                continue
-            else:
-                # Dask turns what a worker could not read into a text
-                missing = re.search(r"ModuleNotFoundError|ImportError|AttributeError", repr(answer))
-                self._refuse(address, f"{'has no such fic-jax: ' if missing else ''}{answer}")
+        for address in new:
+            self.getting_ready[address] = time.monotonic()
+            job = replace(self.job, sharing=self.sharing[_host(address)])
+            threading.Thread(target=self._greet, args=(address, job), daemon=True).start()
+
+    def _greet(self, address: str, job: worker.Job) -> None:
+        """Let a worker get ready, and wait for its answer."""
+        try:
+            said = self.client.run(worker.unready, job, workers=[address], on_error="return")
+            answer = said[address]
+        except Exception as error:  # it has gone meanwhile, or the scheduler has
+            answer = OSError(error)
+        self.arrived.put(Greeting(address, job, answer))
+
+    def _judge(self, greeting: Greeting) -> None:
+        """Use a worker that is ready; one that can't be is named in a warning and not used."""
+        address, answer = greeting.address, greeting.answer
+        if self.getting_ready.pop(address, None) is None:  # too late
+            return
+        if answer == "":
+            self.hands[address] = Hand(address, greeting.job)
+        elif not isinstance(answer, OSError):  # that would be one that has gone
+            # Dask turns what a worker could not read into a text
+            missing = re.search(r"ModuleNotFoundError|ImportError|AttributeError", repr(answer))
+            self._refuse(address, f"{'has no such fic-jax: ' if missing else ''}{answer}")
 
     def _refuse(self, address: str, why: str) -> None:
         self.refused[address] = why = printable(" ".join(why.split()))
@@ -304,13 +341,19 @@ class Cluster:
             future.add_done_callback(self.arrived.put)
 
     def _collect(self, writer: Writer, seconds: float) -> list[Row]:
-        """Commit the blocks that have arrived; waits so long for the first. Raises OSError."""
+        """Commit the blocks that have arrived, and judge greetings; waits so long for the first.
+
+        Raises OSError.
+        """
         rows = []
         with suppress(queue.Empty):
-            future = self.arrived.get(timeout=seconds) if seconds else self.arrived.get_nowait()
+            arrived = self.arrived.get(timeout=seconds) if seconds else self.arrived.get_nowait()
             while True:
-                rows += self._receive(writer, future)
-                future = self.arrived.get_nowait()
+                if isinstance(arrived, Greeting):
+                    self._judge(arrived)
+                else:
+                    rows += self._receive(writer, arrived)
+                arrived = self.arrived.get_nowait()
         return rows
 
     def _receive(self, writer: Writer, future: "Answer") -> list[Row]:

@@ -79,9 +79,9 @@ def tables(data: xr.Dataset) -> Iterator[pd.DataFrame]:
 def _flags(data: xr.Dataset) -> Iterator[tuple[str, dict[str, int]]]:
     """The flag variables, each with its words and their codes."""
     for name, variable in data.data_vars.items():
-        if name in FLAGS:
+        if name in FLAGS and "level" not in data:
             yield str(name), FLAGS[str(name)]
-        elif "flag_values" in variable.attrs:  # of a reduced store
+        elif "flag_values" in variable.attrs:  # of a reduced or a refined store
             words = str(variable.attrs["flag_meanings"]).split()
             yield str(name), dict(zip(words, variable.attrs["flag_values"], strict=True))
 

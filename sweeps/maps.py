@@ -57,14 +57,17 @@ def words(choice: str) -> str:
     return WORDS.get(choice, choice.replace("_", " "))
 
 
-def limits(metric: str, values: NDArray[np.float64]) -> tuple[float, float, bool]:
+def limits(
+    metric: str, values: NDArray[np.float64], spacing: str = ""
+) -> tuple[float, float, bool]:
     """The ends of a metric's scale around the middle 98 % of its values, and whether it is log.
 
-    A log scale ends at powers of ten.
+    Values of an axis have the spacing of the axis. A log scale ends at powers of ten.
     """
     positive = values[values > 0]
     free = metric not in LINEAR_METRICS + SIGNED_METRICS and 0 < positive.size == values.size
-    log = metric in LOG_METRICS or (free and positive.max() > 100 * positive.min())
+    wide = free and positive.max() > 100 * positive.min()
+    log = spacing == "log" if spacing else metric in LOG_METRICS or wide
     if log and positive.size:
         low, high = np.log10(np.quantile(positive, [0.01, 0.99], method="inverted_cdf"))
         top = max(math.ceil(high), math.floor(low) + 1)

@@ -9,7 +9,7 @@ more space, where the file system has hard links: no program of ours changes a f
 import json
 import os
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -31,23 +31,29 @@ SEVERAL = ("device", "revision", "fic_jax")  # attributes in which parts may dif
 Parts = dict[Shard, Store]
 
 
-def merge(paths: Sequence[Path], out: Path | None = None, incomplete: bool = False) -> Store:
+def merge(
+    paths: Sequence[Path],
+    out: Path | None = None,
+    incomplete: bool = False,
+    on_block: Callable[[int, int], None] = lambda done, blocks: None,
+) -> Store:
     """Make the store of all parts, at `out` or beside the first part.
 
-    If `incomplete`, shards and blocks may be missing; `resume` runs them. Raises SweepError for
-    parts that are missing, unfinished, running, damaged, or of different runs; OSError.
+    If `incomplete`, shards and blocks may be missing; `resume` runs them. `on_block` is called
+    after each block with the number of blocks that are done, and that there are. Raises SweepError
+    for parts that are missing, unfinished, running, damaged, or of different runs; OSError.
     """
     parts = _parts(paths)
     shard, first = next(iter(parts.items()))
     path = out or shard.whole(first.path)
-    refuse_existing(path)
+    refuse_existing(path, first.grid.sweep)
     for part in parts.values():
         with unchanged(part.path):
             part.check_done()
             part.check_metadata()
     if not incomplete and (problem := _incomplete(parts, shard.whole(first.path))):
         raise SweepError(problem)
-    return build(path, lambda partial: _write(partial, parts))
+    return build(path, lambda partial: _write(partial, parts, on_block))
 
 
 def _parts(paths: Sequence[Path]) -> Parts:
@@ -92,10 +98,7 @@ def _incomplete(parts: Parts, whole: Path) -> str:
     left = {shard.k: part for shard, part in parts.items() if Counts.of(part).pending}
     says = []
     if missing:
-        attributes = first.group.attrs
-        chunk, device = attributes["block_cells"], attributes["platform"]
-        options = ("--shard", f"{missing[0]}/{n}", "--chunk", chunk, "--device", device)
-        run = command("run", first.path, *options, "--out", whole)
+        run = first.run_shard(Shard(missing[0], n), whole)
         says.append(f"{_numbers(missing)} missing ({run} runs {missing[0]})")
     if left:
         k, part = next(iter(left.items()))
@@ -117,9 +120,10 @@ def _numbers(numbers: Sequence[int]) -> str:
     return f"{', '.join(texts)} {'is' if len(numbers) == 1 else 'are'}"
 
 
-def _write(partial: Path, parts: Parts) -> None:
+def _write(partial: Path, parts: Parts, on_block: Callable[[int, int], None]) -> None:
     """Write the store of all parts into an empty folder."""
-    first, rows, said = next(iter(parts.values())), [], []
+    first, said = next(iter(parts.values())), []
+    rows: list[Row] = []
     names = [file.path for file in first.check_metadata()]
     for name in names:
         (partial / name).parent.mkdir(exist_ok=True)
@@ -129,7 +133,9 @@ def _write(partial: Path, parts: Parts) -> None:
         for part in parts.values():
             with unchanged(part.path):
                 own = part.rows()
-                list(pool.map(lambda row, part=part: _take_block(partial, part, row), own))
+                taken = pool.map(lambda row, part=part: _take_block(partial, part, row), own)
+                for done, _ in enumerate(taken, len(rows) + 1):
+                    on_block(done, first.grid.n_blocks)
             ledger.insert(own)
             rows += own
             said.append(_said(part, own))
@@ -181,7 +187,7 @@ def _record(first: Store, said: Sequence[Mapping[str, str]], done: bool) -> byte
     """The record of the merged store, from that of its first part."""
     record = json.loads((first.path / "zarr.json").read_bytes())
     attributes = record["attributes"]
-    del attributes["shard"]
+    del attributes["shard"], attributes["shard_rule"]
     attributes.pop("end", None)
     for key in SEVERAL:
         attributes[key] = ", ".join(dict.fromkeys(part[key] for part in said))

@@ -11,12 +11,13 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from fic_jax import Metrics, Params, sweep, tune_for_throughput
+from fic_jax import Metrics, Model, Params, sweep, tune_for_throughput
 from sweeps import compile_cache, devices
 from sweeps.plan.grid import Block, Grid, cells_of
 from sweeps.plan.shard import Shard
 from sweeps.provenance import differences, provenance
 from sweeps.reduce.fold import block_values
+from sweeps.refine.rounds import rounds
 from sweeps.spec.mistakes import SweepError
 from sweeps.spec.rules import out_of_bounds
 from sweeps.spec.types import Sweep
@@ -45,6 +46,14 @@ class Progress:
     seconds: float = 0.0  # since this run began
     set_aside: tuple[Row, ...] = ()  # blocks that this run could not compute
     combinations: int = 1  # scenarios of a cell
+    refined: bool = False  # `cells` is the most that there may be, until the end
+
+    def __str__(self) -> str:
+        """How far the run is, in one line: `on_progress=print` shows it."""
+        scenarios = self.ran * self.combinations
+        rate = f", {scenarios / self.seconds:,.0f} scenarios/s" if scenarios else ""
+        share = self.done / max(self.cells, 1)
+        return f"{self.done:,} of {self.cells:,} cells ({100 * share:.0f} %){rate}"
 
     def after(self, row: Row, cells: int, known: Row | None, seconds: float) -> "Progress":
         """The state after a block of `cells`; its row before this run is `known`."""
@@ -114,6 +123,7 @@ def start_or_reopen(
     found, wanted = open_store(path), attributes(Grid(plan, chunk, shard))
     other = [word for key, word in OF_RUN.items() if found.group.attrs.get(key) != wanted[key]]
     other += ["--shard"] if found.grid.shard != shard else []
+    other += ["--precision"] if found.dtype != f"float{precision}" else []
     if other:
         raise SweepError(f"{path}: was begun with another {', '.join(other)}; --out names another")
     store = reopen(path, precision)
@@ -148,6 +158,8 @@ def run(
     `run_blocks` computes and commits them, in this process if it is None. Raises SweepError if
     another process changes the store, OSError if the disk refuses.
     """
+    if store.grid.sweep.refine:
+        return _run_rounds(store, on_progress)
     grid, began = store.grid, time.perf_counter()
     with writing(store) as (writer, lock):
         counts = Counts.of(store)
@@ -167,6 +179,44 @@ def run(
                 on_progress(progress)
         if progress.done == progress.cells and "end" not in store.group.attrs:
             writer.end()
+    return progress
+
+
+def _run_rounds(store: Store, on_progress: OnProgress) -> Progress:
+    """Run what is left of a refined sweep."""
+    grid, began = store.grid, time.perf_counter()
+
+    def simulate(cells: np.ndarray) -> Values:
+        batch, model = grid.scenarios(cells, store.dtype)
+        values = values_of(*_simulated(grid.sweep, batch, model), grid.sweep.time.t_end)
+        # as a resumed run reads them
+        return {
+            name: np.asarray(values[name], store.array(name).dtype)
+            for name in store.variables
+            if name in values
+        }
+
+    progress = Progress(grid.most_runs, 0, refined=True)
+    with writing(store) as (writer, _):
+        counts = Counts.of(store)
+        if not counts.pending:  # a kill may have come before the last lines of `rounds`
+            progress = replace(progress, done=counts.done)
+            store.journal.clear()
+        with closing(rounds(writer, simulate)) as steps:
+            for step in steps if counts.pending else ():
+                progress = replace(
+                    progress,
+                    done=step.simulated,
+                    ran=step.ran,
+                    diverged=step.diverged,
+                    seconds=time.perf_counter() - began,
+                    set_aside=(*progress.set_aside, *step.rows),
+                )
+                on_progress(progress)
+        if not progress.set_aside:
+            progress = replace(progress, cells=progress.done)
+            if "end" not in store.group.attrs:
+                writer.end()
     return progress
 
 
@@ -263,8 +313,12 @@ def _compute(
     """Metrics of a block, or of some of its cells, and their errors if the sweep wants them."""
     params = vars(grid.params(block, dtype))
     batch = Params(**{name: v[cells] if v.ndim else v for name, v in params.items()})
-    plan = grid.sweep
-    model, dt, n_steps = grid.model(block), plan.time.dt, plan.n_steps
+    return _simulated(grid.sweep, batch, grid.model(block))
+
+
+def _simulated(plan: Sweep, batch: Params, model: Model) -> tuple[Metrics, Metrics | None]:
+    """Metrics of scenarios of one model, and their errors if the sweep wants them."""
+    dt, n_steps = plan.time.dt, plan.n_steps
     if plan.error_estimate:
         return sweep(batch, model=model, dt=dt, n_steps=n_steps, error_estimate=True)
     return sweep(batch, model=model, dt=dt, n_steps=n_steps), None

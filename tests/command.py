@@ -40,16 +40,16 @@ class Ended:
     stderr: str
 
 
-def typed(*arguments):
+def typed(*arguments, configure=lambda *_: None):
     """Run the command in this process, without changing JAX or the signal handlers.
 
-    Raises what would be a traceback.
+    `configure` sets JAX up, with the precision of a run. Raises what would be a traceback.
     """
     out, err = io.StringIO(), io.StringIO()
     with (
         patch.object(sys, "argv", ["fic-sweep", *map(str, arguments)]),
         patch.object(interruption, "stop_on_signals", interruption.Stop),
-        patch.object(runner, "configure", lambda *_: None),
+        patch.object(runner, "configure", configure),
         redirect_stdout(out),
         redirect_stderr(err),
     ):

@@ -14,7 +14,8 @@ PACKAGES = ("fic_jax", "sweeps", "figures", "benchmarks")
 # module of the physics -> modules of fic_jax that it may import
 ARROWS = {
     "inputs": set(),
-    "params": {"inputs"},
+    "display": set(),
+    "params": {"inputs", "display"},
     "profile": {"inputs", "params", "lanes.hints"},
     "controller": {"inputs", "params", "profile", "lanes.hints"},
     "exploration": {"inputs", "params"},
@@ -26,6 +27,7 @@ ARROWS = {
     "events": {"inputs", "params", "controller", "piece", "lanes.hints"},
     "simulation": {
         "inputs",
+        "display",
         "params",
         "controller",
         "exploration",
@@ -34,17 +36,28 @@ ARROWS = {
         "events",
         "lanes.hints",
     },
-    "metrics": {"inputs", "params", "environment", "piece", "events", "simulation", "lanes.hints"},
+    "metrics": {
+        "inputs",
+        "display",
+        "params",
+        "environment",
+        "piece",
+        "events",
+        "simulation",
+        "lanes.hints",
+    },
     "accuracy": {"inputs", "params", "piece", "events", "metrics", "simulation"},
 }
-# Rooms, each with all rooms that it may import: cli -> {paper, figures} -> runner -> reduce ->
-# store -> plan -> spec -> fic_jax. The longest name that fits a module is its room.
+# Rooms, each with all rooms that it may import: cli -> {paper, figures} -> runner -> {reduce,
+# refine} -> store -> plan -> spec -> fic_jax. The longest name that fits a module is its room.
 SPEC = {"fic_jax", "sweeps.spec"}
 PLAN = {*SPEC, "sweeps.plan"}
 STORE = {*PLAN, "sweeps.store", "sweeps.disk"}
 REDUCE = {*STORE, "sweeps.reduce"}
+REFINE = {*STORE, "sweeps.refine"}
 RUNNER = {
     *REDUCE,
+    *REFINE,
     "sweeps.runner",
     "sweeps.provenance",
     "sweeps.compile_cache",
@@ -63,6 +76,7 @@ ROOMS = {
     "sweeps.devices": SPEC,
     "sweeps.provenance": {*SPEC, "sweeps"},  # sweeps: where the sources are
     "sweeps.reduce": REDUCE,
+    "sweeps.refine": REFINE,
     "sweeps.runner": RUNNER,
     "sweeps.worker": RUNNER,
     "sweeps.cluster": {*RUNNER, "sweeps.worker"},
@@ -71,6 +85,7 @@ ROOMS = {
     "sweeps.paper": {*RUNNER, "sweeps.paper", "sweeps"},  # sweeps: where its library is
     "sweeps.maps": {"sweeps.store"},
     "sweeps.explore": {*RUNNER, "sweeps.maps", "sweeps.explore", "figures"},
+    "sweeps.share": {*RUNNER, "sweeps.maps", "sweeps.explore", "sweeps.share"},
     "figures": {*STORE, "sweeps.maps", "figures"},
     "figures.paper": {*STORE, "figures", "sweeps.paper.scenarios"},
     "benchmarks": {*RUNNER, "sweeps.processor", "benchmarks", "figures"},
@@ -85,6 +100,7 @@ ROOMS = {
         "sweeps.export",
         "sweeps.merge",
         "sweeps.paper",
+        "sweeps.share",
         "benchmarks",
         "sweeps.cli",
         "figures",

@@ -58,6 +58,7 @@ for command in (
     output.plot,
     output.history,
     output.export,
+    output.share,
     explore.explore,
     bench.bench,
     report.report,

@@ -20,7 +20,7 @@ def list_() -> None:
 
     for path in sorted(LIBRARY.glob("*.toml")):
         sweep = load(path)
-        print(f"{sweep.name:16} {Grid(sweep).full.cells:>13,}  {sweep.description}")
+        print(f"{sweep.name:20} {Grid(sweep).most_runs:>13,}  {sweep.description}")
 
 
 def show(what: SweepName) -> None:

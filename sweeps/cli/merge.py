@@ -8,6 +8,7 @@ import typer
 from sweeps.cli.arguments import NewStore, store
 from sweeps.cli.interruption import raise_on_signals
 from sweeps.cli.process import importing
+from sweeps.cli.progress import blocks_counted
 
 
 def merge(
@@ -27,4 +28,6 @@ def merge(
         from sweeps.cli.messages import merged
         from sweeps.merge import merge as merge_parts
 
-    print(merged(merge_parts(parts, out, incomplete)))
+    with blocks_counted("merge") as on_block:
+        store = merge_parts(parts, out, incomplete, on_block)
+    print(merged(store))

@@ -30,10 +30,11 @@ def plan_lines(grid: Grid, dtype: str) -> list[str]:
     """The size of a sweep: scenarios, blocks, bytes."""
     shape = " x ".join(str(n) for n in grid.block_shape)
     estimates = ", error estimates included" if grid.sweep.error_estimate else ""
+    cells = "cell" if grid.sweep.refine else "scenario"
     return [
-        f"{_dims(grid.full)} = {counted(grid.full.cells, 'scenario')} of {grid.sweep.n_steps:,} "
-        "steps",
+        f"{_dims(grid.full)} = {counted(grid.full.cells, cells)} of {grid.sweep.n_steps:,} steps",
         *_reduced(grid),
+        *_refined(grid),
         f"{counted(grid.n_blocks, 'block')} of up to {shape}",
         *_shard(grid),
         f"{_bytes(size(grid, dtype))} on disk before compression, {dtype}{estimates}",
@@ -46,6 +47,17 @@ def _reduced(grid: Grid) -> Iterator[str]:
         best = f", best {reduce.best} by {reduce.by}" if reduce.best else ""
         over = f"reduced over {', '.join(reduce.over)}{best}"
         yield f"{over}: {_dims(grid)} = {counted(grid.cells, 'cell')}"
+
+
+def _refined(grid: Grid) -> Iterator[str]:
+    """What a refined sweep begins with, and how many scenarios it may simulate."""
+    if refine := grid.sweep.refine:
+        coarse = Grid(grid.sweep.model_copy(update={"refine": None}))
+        begin = f"{_dims(coarse)} = {counted(coarse.cells, 'scenario')}"
+        halved = f"{', '.join(grid.sweep.refined)} halved up to {counted(refine.levels, 'time')}"
+        yield f"refined from {begin}: {halved}"
+        why = "the budget" if refine.budget else "all cells; `refine.budget` allows fewer"
+        yield f"at most {counted(grid.most_runs, 'scenario')} ({why})"
 
 
 def reduced_lines(store: Store) -> list[str]:
@@ -97,23 +109,26 @@ def expectation(grid: Grid, compiling: float, rate: float) -> str:
     """How long a sweep will take, from seconds to compile a model and scenarios a second."""
     choices = grid.sweep.model.values()
     models = math.prod(len(choice) for choice in choices if isinstance(choice, list))
-    seconds = models * compiling + grid.own_cells * grid.combinations / rate
+    seconds = models * compiling + grid.most_runs / rate
     steps = rate * grid.sweep.n_steps / 1e6
     speed = f"{rate:,.0f} scenarios/s ({steps:,.{0 if steps >= 10 else 1}f} M steps/s)"
-    return f"about {_duration(seconds)} at {speed} on this machine, measured just now"
+    most = "at most" if grid.sweep.refine else "about"
+    return f"{most} {_duration(seconds)} at {speed} on this machine, measured just now"
 
 
 def status_lines(store: Store) -> list[str]:
     """How far a store is, and which program made it on which device."""
     counts, attrs, grid = Counts.of(store), store.group.attrs.asdict(), store.grid
     cells = grid.own_cells
+    word = "simulated" if grid.sweep.refine else "done"
     diverged = _diverged(store) if counts.cells["diverged"] else ()
     made_by = f"fic_jax {attrs['fic_jax']} ({attrs['revision']}), jax {attrs['jax']}"
     return [
         f"{store.path}: {grid.sweep.name}, {_dims(grid)}",
         *_shard(grid),
         *_reduced(grid),
-        f"done      {counts.done:,} of {cells:,} cells ({_percent(counts.done, cells)})",
+        *_refined(grid),
+        f"{word:{HEAD}}{counts.done:,} of {cells:,} cells ({_percent(counts.done, cells)})",
         *(f"  {name:8}{count:>14,}" for name, count in counts.cells.items()),
         *(f"diverged  {scenario}" for scenario in diverged),
         *(f"failed    {block}" for block in _set_aside(store, counts.set_aside)),
@@ -126,6 +141,22 @@ def status_lines(store: Store) -> list[str]:
         printable(f"made by   {made_by}"),
         printable(f"on        {attrs['device']}, {attrs['dtype']}"),
     ]
+
+
+def record(store: Store) -> list[tuple[str, str]]:
+    """What `status_lines` say, as pairs of a head and a text, without the path of the store."""
+    attrs, rows = store.group.attrs.asdict(), [("name", store.grid.sweep.name)]
+    for line in [f"{'sweep':{HEAD}}{_dims(store.grid)}", *status_lines(store)[1:]]:
+        head, text = line[:HEAD].strip(), line[HEAD:].strip()
+        if " " not in line[HEAD - 1 : HEAD + 1]:  # a sentence without a head
+            head, _, text = line.partition(" ")
+        if head:
+            rows.append((head, text))
+        else:
+            rows[-1] = (rows[-1][0], f"{rows[-1][1]} {text}")
+    names = ("numerics", "arithmetic", "jaxlib", "llvmlite", "numpy", "scipy")
+    used = [f"{name} {attrs[name]}" for name in names if name in attrs]
+    return [*rows, ("with", printable(", ".join(used)))]
 
 
 def _shard(grid: Grid) -> Iterator[str]:
@@ -187,14 +218,17 @@ def progress_line(progress: Progress) -> str:
     rate = progress.ran / progress.seconds
     left = (progress.cells - progress.done) / rate
     rate *= progress.combinations
-    return f"{rate:,.0f} scenarios/s, {_duration(left)} left"
+    most = "at most " if progress.refined and left else ""
+    return f"{rate:,.0f} scenarios/s, {most}{_duration(left)} left"
 
 
 def log_line(progress: Progress) -> str:
     """How far a run is, for a log."""
     share = _percent(progress.done, progress.cells)
+    most = "at most " if progress.refined else ""
     failed = f"; {counted(len(progress.set_aside), 'block')} failed" if progress.set_aside else ""
-    return f"{progress.done:,} of {progress.cells:,} ({share}) {progress_line(progress)}{failed}"
+    of = f"{progress.done:,} of {most}{progress.cells:,} ({share})"
+    return f"{of} {progress_line(progress)}{failed}"
 
 
 def summary(store: Store, result: Progress) -> str:
@@ -208,8 +242,20 @@ def summary(store: Store, result: Progress) -> str:
     speed = f", {rate:,.0f}/s ({steps:,.0f} M steps/s)" if steps >= 1 else ""
     diverged = f", {result.diverged:,} diverged" if result.diverged else ""
     first = f"{counted(ran, 'scenario')} in {_duration(result.seconds)}{speed}{diverged}"
-    lines = [f"{store.path}: {first}", *_trusted(Counts.of(store)), *reduced_lines(store)]
+    counts = Counts.of(store)
+    lines = [f"{store.path}: {first}", *_nearby(store, counts), *_trusted(counts)]
+    lines += reduced_lines(store)
     return "\n".join(lines)
+
+
+def _nearby(store: Store, counts: Counts) -> Iterator[str]:
+    """How many cells of a refined store were simulated, and what the others have."""
+    if near := counts.cells.get("nearby"):
+        cells, budget = store.grid.cells, store.grid.most_runs
+        spent = f" (the whole budget of {budget:,})" if counts.done == budget else ""
+        simulated = f"{counts.done:,} of {cells:,} cells simulated, {_percent(counts.done, cells)}"
+        yield f"{'refined':{HEAD}}{simulated}{spent}"
+        yield f"{'':{HEAD}}{near:,} have the values of a simulated cell beside them"
 
 
 def merged(store: Store) -> str:
@@ -257,10 +303,11 @@ def interrupted(store: Store, error: BaseException) -> str:
     rest = f"{_resume(store)} does the rest"
     try:
         each = store.grid.combinations
-        done, all_ = Counts.of(store).done * each, store.grid.own_cells * each
+        done, all_ = Counts.of(store).done * each, store.grid.most_runs
     except (OSError, SweepError):  # the folder is gone, or has become unreadable
         return f"{why}; what was finished is kept if the folder is, {rest}"
-    return f"{why}; {done:,} of {counted(all_, 'scenario')} are kept, {rest}"
+    most = "at most " if store.grid.sweep.refine else ""
+    return f"{why}; {done:,} of {most}{counted(all_, 'scenario')} are kept, {rest}"
 
 
 def _resume(store: Store) -> str:

@@ -1,5 +1,6 @@
-"""`plot`, `history` and `export`: a store as a picture, a table or a NetCDF file."""
+"""`plot`, `history`, `export` and `share`: a store as a picture, table, NetCDF file or page."""
 
+import importlib.util
 import itertools
 import logging
 import math
@@ -19,6 +20,9 @@ from sweeps.cli.errors import complain, fail, refuse, unreadable_refused
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
+
+    from sweeps.explore.stored import Stored
+    from sweeps.explore.view import View
 
 At = Annotated[
     list[str] | None,
@@ -119,7 +123,7 @@ def export(
     from sweeps.export import SUFFIX, files, write
     from sweeps.spec.mistakes import command
     from sweeps.store.format import NOT_RUN
-    from sweeps.store.opening import dataset, open_store
+    from sweeps.store.opening import Counts, dataset, open_store
 
     target = out or Path(_store_name(path) + SUFFIX[to.value])
     for file in files(target, to.value):
@@ -134,15 +138,73 @@ def export(
                 os._exit(1)  # HDF5 could not close its file, and would crash now
             raise typer.Exit(1) from None
     names = " and ".join(map(str, files(target, to.value)))
-    noun = "cell" if "reduced_over" in data.attrs else "scenario"
-    print(f"wrote {names}, {counted(rows, noun)}{_old_definition(data)}")
-    grid = open_store(path).grid
+    store = open_store(path)
+    grid = store.grid
+    noun = "cell" if grid.sweep.reduce or grid.sweep.refine else "scenario"
+    simulated = f", {Counts.of(store).done:,} of them simulated" if grid.sweep.refine else ""
+    print(f"wrote {names}, {counted(rows, noun)}{simulated}{_old_definition(data)}")
     others = grid.cells - grid.own_cells
     left = int((data["status"] == NOT_RUN).sum()) - others
     if others:
         complain(f"warning: {others:,} of them are of other shards than {grid.shard}")
     if left:
         complain(f"warning: {left:,} of them were not run; {command('resume', path)} runs them")
+
+
+def share(
+    path: StorePath,
+    metric: Annotated[
+        list[str] | None,
+        typer.Option(help="may be repeated: what the file has, the first shown; default: all"),
+    ] = None,
+    pin: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=VALUE,...",
+            help="may be repeated: a cell whose motion is drawn; default: best, median, worst",
+        ),
+    ] = None,
+    x: Annotated[str | None, typer.Option(help="horizontal axis of the first map")] = None,
+    y: Annotated[str | None, typer.Option(help="its vertical axis")] = None,
+    out: NewFile = None,
+    size: Annotated[float, typer.Option(metavar="MB", help="most megabytes of the file")] = 10.0,
+    force: Force = False,
+) -> None:
+    """Write a store as one HTML file for mailing: maps with sliders, and the motions of cells."""
+    for module in ("bokeh", "llvmlite"):
+        if importlib.util.find_spec(module) is None:
+            refuse(f"share needs {module}: `pip install 'fic-jax[explore]'`")
+    target = out or Path(_store_name(path) + ".html")
+    _refuse_existing(target, force)
+    check_matplotlib()
+    from datetime import UTC, datetime
+
+    from sweeps import runner
+    from sweeps.cli.messages import counted, record
+    from sweeps.explore.stored import Stored
+    from sweeps.share.coarse import copied
+    from sweeps.share.page import check_size, page, room_for_copy
+    from sweeps.share.pins import choose, simulated
+
+    most = room_for_copy(size)
+    with unreadable_refused(path):
+        source = Stored(path)
+        if getattr(source.grid.sweep, "refine", None):
+            refuse(f"{path}: is refined, and a page has no boxes; `fic-sweep plot` draws them")
+        named = _pinned(path, source, pin)
+        metrics = _shared_metrics(path, source, metric)
+        view = _first_map(path, source, metrics[0], x, y)
+        copy = copied(source, metrics, [index for _, index in named], most)
+    if source.has_motion:
+        runner.configure(int(source.dtype.removeprefix("float")), "cpu")
+        pins = simulated(source, named or choose(copy, view))
+    else:
+        pins = []
+    now = datetime.now(UTC)
+    content = check_size(page(source, copy, pins, view, record(source.store), now), size)
+    _replace(target, content)
+    cells = counted(copy.cells, "cell")
+    print(f"wrote {target}, {len(content) / 1e6:.2g} MB, {cells} of {source.grid.cells:,}")
 
 
 def check_matplotlib() -> None:
@@ -170,6 +232,74 @@ def _refuse_existing(target: Path | None, force: bool) -> None:
         refuse(f"{target}: is no regular file; --out names another")
     if not force:
         refuse(f"{target}: exists already; --force replaces it, --out names another")
+
+
+def _pinned(
+    path: Path, source: "Stored", texts: list[str] | None
+) -> list[tuple[str, tuple[int, ...]]]:
+    """The cells that `--pin` names, each once, with their indices in the store."""
+    from figures.history import select
+    from sweeps.share.pins import MOST_PINS
+    from sweeps.store.opening import dataset
+
+    if texts and not source.has_motion:
+        refuse(f"{path}: is reduced, and a cell of it has no motion to pin")
+    found: dict[tuple[int, ...], str] = {}
+    for text in texts or ():
+        values = _values([text], None, "--pin")
+        with _plot_errors_refused(path):
+            ((cell, index),) = select(dataset(path), [_single(values, "--pin")])
+        _warn_of_nearest(path, values, [cell.cut])
+        found.setdefault(index, f"pin {len(found) + 1}")
+    if len(found) > MOST_PINS:
+        refuse(f"--pin: {len(found)} cells are too many to tell apart: name up to {MOST_PINS}")
+    return [(name, index) for index, name in found.items()]
+
+
+def _shared_metrics(path: Path, source: "Stored", names: list[str] | None) -> list[str]:
+    """The metrics of a page, the one shown first: all but error estimates by default."""
+    from figures.cut import require_metric
+    from sweeps.store.format import ERRORS
+    from sweeps.store.opening import dataset
+
+    with _plot_errors_refused(path):
+        for name in names or ():
+            require_metric(name, dataset(path))
+    first = source.start.metric
+    metrics = [first, *(name for name in source.space.metrics if name not in ERRORS)]
+    return list(dict.fromkeys(names or metrics))
+
+
+def _first_map(path: Path, source: "Stored", metric: str, x: str | None, y: str | None) -> "View":
+    """What a page shows first."""
+    from dataclasses import replace
+
+    from figures.cut import require_dimension
+    from sweeps.store.opening import dataset
+
+    view = replace(source.start, metric=metric)
+    with _plot_errors_refused(path):
+        for side, name in (("x", x), ("y", y)):
+            if name is not None:
+                require_dimension(name, dataset(path), metric)
+                view = source.with_axis(view, side, name)
+    if x is not None and x == y:
+        refuse(f"--x {x} --y {y}: must be two dimensions")
+    return view
+
+
+def _replace(target: Path, content: bytes) -> None:
+    """Write a file, which has its name once it is whole."""
+    target = Path(os.path.realpath(target))  # a link stays a link
+    partial = target.with_name(f".{target.name}.partial")
+    try:
+        partial.write_bytes(content)
+        partial.replace(target)
+    except OSError as error:
+        reason = f"{target}: can't be written: {error.strerror}"
+        fail(reason) if disk.refused(error) else refuse(reason)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def _store_name(path: Path) -> str:
@@ -245,7 +375,9 @@ def _old_definition(data: "xr.Dataset") -> str:
     return f"; its metrics are {data.attrs['metrics_definition_meaning']}" if old else ""
 
 
-def _values(at: list[str] | None, more: list[str] | None) -> dict[str, list[str]]:
+def _values(
+    at: list[str] | None, more: list[str] | None, option: str = "--at"
+) -> dict[str, list[str]]:
     """`--at KEY=VALUE ...`: dimension -> its values; VALUE alone is another one of the last KEY."""
     values: dict[str, list[str]] = {}
     key = ""
@@ -254,15 +386,16 @@ def _values(at: list[str] | None, more: list[str] | None) -> dict[str, list[str]
             before, equals, after = (word.strip() for word in part.rpartition("="))
             key = before if equals else key
             if not (key and after) or "=" in key:
-                refuse(f"--at {text}: must be KEY=VALUE, as in --at Td=5")
+                refuse(f"{option} {text}: must be KEY=VALUE, as in {option} Td=5")
             values.setdefault(key, []).append(after)
     return values
 
 
-def _single(values: Mapping[str, list[str]]) -> dict[str, str]:
+def _single(values: Mapping[str, list[str]], option: str = "--at") -> dict[str, str]:
     """One value of each dimension. Refuses a second one: a picture is cut at one place."""
     for key, given in values.items():
         if len(given) > 1:
             both = " and ".join(given)
-            refuse(f"--at {key}: is given twice, {both}; `history` draws several")
+            several = "another --pin" if option == "--pin" else "`history`"
+            refuse(f"{option} {key}: is given twice, {both}; {several} draws several")
     return {key: given[0] for key, given in values.items()}

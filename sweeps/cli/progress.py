@@ -2,6 +2,8 @@
 
 import sys
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from sweeps.cli.interruption import Stop
@@ -23,6 +25,29 @@ def run_with_progress(
     return (_with_bar if sys.stdout.isatty() else _with_lines)(store, stop, run_blocks)
 
 
+@contextmanager
+def blocks_counted(name: str) -> Iterator[Callable[[int, int], None]]:
+    """A function that shows how many blocks are done, and how many there are."""
+    if sys.stdout.isatty():
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+        from rich.progress import Progress as Bar
+
+        columns = (TextColumn(name), BarColumn(), MofNCompleteColumn(), TextColumn("blocks"))
+        with Bar(*columns, transient=True) as bar:
+            task = bar.add_task("", total=None)
+            yield lambda done, blocks: bar.update(task, completed=done, total=blocks)
+        return
+    last = time.monotonic()
+
+    def show(done: int, blocks: int) -> None:
+        nonlocal last
+        if time.monotonic() - last >= LOG_INTERVAL:
+            last = time.monotonic()
+            print(f"{done:,} of {blocks:,} blocks", flush=True)
+
+    yield show
+
+
 def _with_bar(store: "Store", stop: Stop, run_blocks: "RunBlocks | None") -> "Progress":
     from rich.progress import BarColumn, TextColumn
     from rich.progress import Progress as Bar
@@ -32,7 +57,7 @@ def _with_bar(store: "Store", stop: Stop, run_blocks: "RunBlocks | None") -> "Pr
 
     text = TextColumn("{task.percentage:>3.0f} % {task.fields[line]}")
     with Bar(TextColumn(store.grid.sweep.name), BarColumn(), text, transient=True) as bar:
-        task = bar.add_task("", total=store.grid.own_cells, line="compiling")
+        task = bar.add_task("", total=store.grid.most_runs, line="compiling")
 
         def show(progress: "Progress") -> None:
             bar.update(task, completed=progress.done, line=progress_line(progress))

@@ -1,6 +1,8 @@
 """`reduce`: the statistics of a store over some of its dimensions, as a store."""
 
+import re
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,6 +11,7 @@ import typer
 from sweeps.cli import interruption
 from sweeps.cli.arguments import NewStore, StorePath
 from sweeps.cli.errors import fail, refuse, system_errors_reported, unreadable_refused
+from sweeps.cli.progress import blocks_counted
 
 if TYPE_CHECKING:
     from sweeps.store.opening import Store
@@ -78,14 +81,37 @@ def reduce(
     if untrusted is None:
         _refuse_unfinished(store)
     given = {key: value for key, value in table.items() if value not in (None, [], {})}
-    sweep = reduced_sweep(store, given)
+    with _options_named():
+        sweep = reduced_sweep(store, given)
     target = out or path.with_name(f"{path.stem}-reduced.zarr")
     with unreadable_refused(path), system_errors_reported(target):
         try:
-            new = reduce_store(store, sweep, target, chunk, stop.raise_if_requested)
+            with blocks_counted("reduce") as show:
+
+                def on_block(done: int, blocks: int) -> None:
+                    show(done, blocks)
+                    stop.raise_if_requested()
+
+                new = reduce_store(store, sweep, target, chunk, on_block)
         except KeyboardInterrupt:
             _interrupted(target)
     _say(store, new)
+
+
+@contextmanager
+def _options_named() -> Iterator[None]:
+    """Name the options that the user typed in a mistake of the table that they make."""
+    from sweeps.spec.mistakes import SweepError
+
+    def option(key: re.Match[str]) -> str:
+        name = {"quantiles": "quantile"}.get(key[1], key[1])
+        return f"`--{name} {key[2]}`" if key[2] else f"`--{name}`"
+
+    try:
+        yield
+    except SweepError as error:
+        text = re.sub(r"`reduce\.(\w+)(?:\.([^`]*))?`", option, str(error))
+        raise SweepError(text.replace("quantiles, share", "quantile, share")) from None
 
 
 def _refuse_unfinished(store: "Store") -> None:

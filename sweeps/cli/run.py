@@ -12,7 +12,7 @@ import typer
 from sweeps.cli import interruption
 from sweeps.cli.arguments import NewStore, StorePath
 from sweeps.cli.errors import complain, fail, system_errors_reported
-from sweeps.cli.library import find, read, warn
+from sweeps.cli.library import find, is_store, read, warn
 from sweeps.cli.process import importing
 from sweeps.cli.progress import run_with_progress
 
@@ -67,7 +67,7 @@ def run(
     dask: Dask = None,
     shard: Annotated[
         str | None,
-        typer.Option(metavar="K/N", help="every N-th block, into NAME.K-of-N.zarr, new or begun"),
+        typer.Option(metavar="K/N", help="one block of N, into NAME.K-of-N.zarr, new or begun"),
     ] = None,
 ) -> None:
     """Run a sweep into a new store."""
@@ -78,13 +78,18 @@ def run(
         from sweeps import runner
         from sweeps.plan.shard import Shard
         from sweeps.spec.overrides import refuse_repeated
+        from sweeps.store.create import taken_back_if_refused
+        from sweeps.store.opening import open_store
 
     share = Shard.parse(shard) if shard is not None else None
     refuse_repeated(set_ or [])
     sweep = read(what, overrides)
+    if chunk is None and is_store(what) and not overrides:
+        chunk = open_store(Path(what)).grid.block_cells
     runner.configure(sweep.bits, device and device.value)
     path = out or Path(f"{sweep.name}.zarr")
     path = share.part(path) if share else path
+    _refuse_refined(sweep, dask)
     if dry_run:
         _print_plan(sweep, chunk, share)
         warn(sweep)
@@ -94,7 +99,7 @@ def run(
         else:
             runner.check_start(path, sweep, chunk, sweep.bits, share)
         return
-    with _client(dask) as client:
+    with _client(dask) as client, taken_back_if_refused(path):
         if share:
             store = runner.start_or_reopen(path, sweep, chunk, sweep.bits, share)
         else:
@@ -122,6 +127,7 @@ def resume(
     with system_errors_reported(path):
         extension.recover(path)
         store = reopen(path)
+        _refuse_refined(store.grid.sweep, dask)
         if larger:
             store = extension.extend(store, larger, str(file))
             warn(larger, advice=False)  # a store keeps its dt and precision
@@ -130,6 +136,13 @@ def resume(
             store.check_done()
     with _client(dask) as client:
         _finish(store, stop, client)
+
+
+def _refuse_refined(sweep: "Sweep", dask: str | None) -> None:
+    if dask is not None:
+        from sweeps.cluster import refuse_refined
+
+        refuse_refined(sweep)
 
 
 @contextmanager

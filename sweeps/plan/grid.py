@@ -1,7 +1,7 @@
 """A sweep's cells in blocks, and the scenarios of one block."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, cast
@@ -51,6 +51,9 @@ class Grid:
             if n > most:
                 wanted = f"a number of cells that makes at most {most:,} {what}"
                 raise SweepError(f"{self.sweep.name}: `--chunk` must be {wanted}, not {n:,}")
+        if self.shard and self.sweep.refine:
+            why = "is refined where its cells differ, which no shard knows of the others"
+            raise SweepError(f"--shard {self.shard}: {self.sweep.name} {why}; run it whole")
         if self.shard and self.shard.n > self.n_blocks:
             limit = (
                 f"N must be at most {self.n_blocks:,}, the number of blocks of {self.sweep.name}"
@@ -88,16 +91,29 @@ class Grid:
         return math.prod(self.shape)
 
     @property
+    def most_runs(self) -> int:
+        """The most scenarios that a run of these cells simulates."""
+        scenarios, refine = self.own_cells * self.combinations, self.sweep.refine
+        return min(refine.budget, scenarios) if refine and refine.budget else scenarios
+
+    @property
     def block_cells(self) -> int:
         """The most cells a block may have."""
         if self.chunk:
             return self.chunk
-        scenarios = min(max(BLOCK_STEPS // self.work, SMALLEST_BLOCK), LARGEST_BLOCK)
+        scenarios = self.second_or_two
+        if self.sweep.refine:  # few of its cells are simulated
+            scenarios = LARGEST_BLOCK
         if self.sweep.reduce:
             enough = min(self.full.cells // FEW_BLOCKS, LARGEST_BLOCK)
             scenarios = max(scenarios, enough)
         cells = max(scenarios // self.combinations, 1)
         return max(cells, 4 * self.cells // MAX_BLOCKS)  # halving may make blocks 4 times smaller
+
+    @property
+    def second_or_two(self) -> int:
+        """The scenarios that take so long to simulate."""
+        return min(max(BLOCK_STEPS // self.work, SMALLEST_BLOCK), LARGEST_BLOCK)
 
     @property
     def work(self) -> int:
@@ -129,10 +145,14 @@ class Grid:
     def n_blocks(self) -> int:
         return math.prod(self.counts)
 
-    @property
-    def own(self) -> range:
-        """The numbers of the blocks to run."""
+    @cached_property
+    def own(self) -> Sequence[int]:
+        """The numbers of the blocks to run, in order."""
         return self.shard.blocks(self.n_blocks) if self.shard else range(self.n_blocks)
+
+    def owns(self, block: int) -> bool:
+        """Whether a block is one of those to run."""
+        return 0 <= block < self.n_blocks and (self.shard is None or self.shard.has(block))
 
     @cached_property
     def own_cells(self) -> int:
@@ -143,7 +163,7 @@ class Grid:
         cells = np.ones(1, np.int64)  # of each block
         for n, side in dims:
             cells = np.outer(cells, np.diff(np.append(np.arange(0, n, side), n))).ravel()
-        return int(cells[self.own.start :: self.own.step].sum())
+        return int(cells[list(self.own)].sum())
 
     def place(self, index: int) -> tuple[int, ...]:
         """A block's index along each dimension; along the last one, numbers are consecutive."""
@@ -179,6 +199,43 @@ class Grid:
                     along = np.asarray(values, dtype).reshape(sides)
                     fields[name] = np.broadcast_to(along, shape).reshape(-1)
         return Params(**{name: np.asarray(value, dtype) for name, value in fields.items()})
+
+    def cells_in(self, index: int) -> np.ndarray:
+        """The numbers of a block's cells among all cells, in storage order."""
+        along = np.ix_(*(np.arange(part.start, part.stop) for part in self.block(index)))
+        return np.ravel_multi_index(along, self.shape).ravel()
+
+    def block_of(self, cells: np.ndarray) -> np.ndarray:
+        """The number of the block of each cell."""
+        sides = zip(np.unravel_index(cells, self.shape), self.block_shape, strict=True)
+        return np.ravel_multi_index([index // side for index, side in sides], self.counts)
+
+    def batches(self, cells: np.ndarray) -> Iterator[np.ndarray]:
+        """Cells anywhere in the grid, by number, in parts of one model and a second or two."""
+        most = min(self.block_cells, self.second_or_two)
+        index = np.unravel_index(cells, self.shape)
+        models = [i for dim, i in zip(self.dims, index, strict=True) if dim in self.sweep.model]
+        lengths = [n for dim, n in self.dims.items() if dim in self.sweep.model]
+        number = np.ravel_multi_index(models, lengths) if models else np.zeros(len(cells), int)
+        for one in np.unique(number):
+            same = cells[number == one]
+            for start in range(0, len(same), most):
+                yield same[start : start + most]
+
+    def scenarios(self, cells: np.ndarray, dtype: str = "float64") -> tuple[Params, Model]:
+        """The scenarios of cells anywhere in the grid, and the model that all of them share.
+
+        The Params are those of `params`, bit for bit.
+        """
+        index = np.unravel_index(cells, self.shape)
+        fields: dict[str, Any] = vars(Params()) | self.sweep.constants
+        for dim, along in zip(self.dims, index, strict=True):
+            for name, values in self.coordinates(dim).items():
+                if name in QUANTITIES:
+                    fields[name] = np.asarray(values, dtype)[along]
+        first = tuple(slice(int(along[0]), int(along[0]) + 1) for along in index)
+        params = {name: np.asarray(value, dtype) for name, value in fields.items()}
+        return Params(**params), self.model(first)
 
     def coordinates(self, dim: str, part: slice = slice(None)) -> dict[str, np.ndarray]:
         """Values at the indices `part` of all that varies along a dimension, by name."""

@@ -10,11 +10,19 @@ MOST = 10_000  # shards: a merged store has a line of 200 bytes for each in its 
 _WRITTEN = re.compile(r"(\d{1,5})/(\d{1,5})", re.ASCII)
 
 
+# How blocks are divided; a part records it, and a change of it needs another name here.
+RULE = "golden"
+_GOLDEN = 0x9E3779B97F4A7C15  # 2^64 divided by the golden ratio
+
+
 @dataclass(frozen=True)
 class Shard:
-    """Share `k` of `n`: the blocks k, k + n, k + 2 n, ..., counted from 1.
+    """Share `k` of `n`, counted from 1: one block of each `n` consecutive ones.
 
-    Blocks beside each other cost about the same, so that all shares take about the same time.
+    Consecutive blocks cost about the same. Which one of them it is changes from group to group, by
+    the golden ratio: with the same one, a shard of as many as an axis has blocks would have one
+    value of that axis, and shards would take 3 times as long as others. The last group may be
+    incomplete, and have none.
     """
 
     k: int
@@ -32,9 +40,20 @@ class Shard:
             raise SweepError(f"--shard {printable(text)}: must be {wanted}")
         return cls(int(match[1]), int(match[2]))
 
-    def blocks(self, n_blocks: int) -> range:
+    def blocks(self, n_blocks: int) -> list[int]:
         """The numbers, from 0, of its blocks among `n_blocks`."""
-        return range(self.k - 1, n_blocks, self.n)
+        groups = range(-(-n_blocks // self.n))
+        blocks = [group * self.n + self._place(group) for group in groups]
+        return [block for block in blocks if block < n_blocks]
+
+    def has(self, block: int) -> bool:
+        """Whether a block is one of its blocks."""
+        group, place = divmod(block, self.n)
+        return place == self._place(group)
+
+    def _place(self, group: int) -> int:
+        turned = (group * _GOLDEN % 2**64) * self.n >> 64
+        return (self.k - 1 + turned) % self.n
 
     def part(self, whole: Path) -> Path:
         """Where its part of the store `whole` is: tiny.3-of-40.zarr beside tiny.zarr."""

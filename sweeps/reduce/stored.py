@@ -24,6 +24,9 @@ def reduced_sweep(store: Store, reduce: dict[str, Any]) -> Sweep:
     sweep = store.grid.sweep
     if sweep.reduce:
         raise SweepError(f"{store.path}: is reduced already; reduce the store with all its cells")
+    if sweep.refine:
+        why = "most of its cells were not simulated, and would count as if they had been"
+        raise SweepError(f"{store.path}: is refined: {why}; reduce a store with all its cells")
     store.check_definition()
     precision = int(store.dtype.removeprefix("float"))
     raw = json.loads(sweep.record())
@@ -32,12 +35,14 @@ def reduced_sweep(store: Store, reduce: dict[str, Any]) -> Sweep:
 
 
 def reduce_store(
-    store: Store, sweep: Sweep, path: Path, chunk: int | None, after_block: Callable[[], None]
+    store: Store, sweep: Sweep, path: Path, chunk: int | None, on_block: Callable[[int, int], None]
 ) -> Store:
     """Make the store of a reduced sweep at `path`, from the cells of `store`.
 
-    The new store names the program that computed the cells. If it is interrupted, `resume` computes
-    the rest. Raises SweepError if it can't be made or a file of a finished block is not as written.
+    The new store names the program that computed the cells. `on_block` is called after each block
+    with the number of blocks that are done, and that there are. If it is interrupted, `resume`
+    computes the rest. Raises SweepError if it can't be made or a file of a finished block is not as
+    written.
     """
     if not Counts.of(store).done:
         raise SweepError(f"{store.path}: has no finished block, so there is nothing to reduce")
@@ -52,7 +57,7 @@ def reduce_store(
         for index in range(new.grid.n_blocks):
             values = block_values(new.grid, new.grid.block(index), read)
             writer.commit(values, Row(index, DONE))
-            after_block()
+            on_block(index + 1, new.grid.n_blocks)
         writer.end()
     return new
 

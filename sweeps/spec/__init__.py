@@ -9,7 +9,7 @@
 
 A store keeps the record as JSON, and its hash. Opening a store checks the hash and repeats step 3
 alone.
-`condition` reads and evaluates a condition of `[reduce]`.
+`condition` reads and evaluates a condition of `[reduce]` or `[refine]`.
 `warnings` has a line for what is allowed but may surprise; `digits` says how many digits of a value
 to print.
 """

@@ -1,5 +1,5 @@
 """A condition on a scenario, as `nmse_tail < 1e-3 and contact_lost == 0`: names of metrics and
-fields, numbers, comparisons, arithmetic, `and`, `or`, `not` and parentheses.
+fields, numbers, inf, comparisons, arithmetic, `and`, `or`, `not` and parentheses.
 
 Python's parser reads it. Only the nodes in `_OPERATORS` and a few others are evaluated: no call, no
 attribute, no index.
@@ -7,6 +7,7 @@ attribute, no index.
 
 import ast
 import operator
+import re
 import warnings
 from collections.abc import Mapping
 from functools import reduce
@@ -31,6 +32,18 @@ _OPERATORS: dict[type[ast.AST], Any] = {
     ast.Or: np.logical_or,
     ast.Not: np.logical_not,
 }
+# What other languages write -> what a condition has instead.
+_FOREIGN = {
+    **dict.fromkeys(("&&", "&", "AND"), "`and`"),
+    **dict.fromkeys(("||", "|", "OR"), "`or`"),
+    **dict.fromkeys(("!", "~", "NOT"), "`not`"),
+    **dict.fromkeys(("^", "**"), "a product, as `nmse * nmse`"),
+    "=": "`==`",
+    "<>": "`!=`",
+    "≤": "`<=`",
+    "≥": "`>=`",
+}
+_SIGN = re.compile(r"<>|[<>=!]=|&&|\|\||\*\*|[&|~!=^≤≥]|\b(?:AND|OR|NOT)\b")
 LARGEST = 1e300  # number in a condition: a longer whole one is no float
 MOST_NODES = 200  # of a condition: a person writes ten
 
@@ -43,7 +56,8 @@ def names(text: str) -> list[str]:
     """The names in a condition, each once. Raises ConditionError if it is none."""
     tree = _parsed(text)
     called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
-    found = [n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and id(n) not in called]
+    words = [n.id for n in ast.walk(tree) if isinstance(n, ast.Name) and id(n) not in called]
+    found = [word for word in words if word != "inf"]
     holds(text, dict.fromkeys(found, 1.0))  # on trial
     return list(dict.fromkeys(found))
 
@@ -57,6 +71,9 @@ def holds(text: str, values: Mapping[str, Any]) -> np.ndarray:
 
 
 def _parsed(text: str) -> ast.expr:
+    for sign in _SIGN.findall(text):
+        if sign in _FOREIGN:
+            raise ConditionError(f"written with {_FOREIGN[sign]}, not with `{sign}`")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what Python says of a text like `1if`
@@ -92,6 +109,8 @@ def _value(node: ast.expr, values: Mapping[str, Any]) -> Any:
             result = _operator(op)(*of([left, right], logical=False))
         case ast.Call(func=ast.Name(id="abs"), args=[part], keywords=[]):
             result = np.abs(of([part], logical=False)[0])
+        case ast.Name(id="inf"):
+            result = np.inf
         case ast.Name(id=name):
             result = values[name]
         case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):

@@ -9,7 +9,16 @@ from typing import Any
 
 from fic_jax import CHOICES, QUANTITIES, inputs
 from fic_jax.params import meaning
-from sweeps.spec.types import RandomDesign, Range, Record, Reduction, SpacedRange, Sweep, Time
+from sweeps.spec.types import (
+    RandomDesign,
+    Range,
+    Record,
+    Reduction,
+    Refinement,
+    SpacedRange,
+    Sweep,
+    Time,
+)
 
 OTHER_WORDS = {  # key -> what it is called elsewhere; the words of its meaning are known besides
     "period": ("rate", "frequency", "hz", "sampling", "sample_time", "ts"),
@@ -83,11 +92,12 @@ def misplaced(path: Sequence[str]) -> str | None:
     return f"`{'.'.join(filter(None, (table, name)))}` must stand {places}{before}."
 
 
-_TABLES = ("time", "model", "constants", "axes", "cases", "sample", "reduce")
+_TABLES = ("time", "model", "constants", "axes", "cases", "sample", "reduce", "refine")
 _HOMES: dict[str, tuple[str, ...]] = {
     **{name: ("",) for name in Sweep.model_fields if name not in _TABLES},
     **dict.fromkeys(RandomDesign.model_fields, ("sample",)),
     **dict.fromkeys(Reduction.model_fields, ("reduce",)),
+    **{k: ("refine",) for k in Refinement.model_fields if k not in _TABLES},
     **dict.fromkeys(Time.model_fields, ("time",)),
     **dict.fromkeys(CHOICES, ("model",)),
     **dict.fromkeys(QUANTITIES, ("constants", "axes", "cases")),
@@ -134,7 +144,7 @@ def excerpt(value: Any) -> str:
 
 def _known_keys(path: list[str]) -> list[str]:
     records: dict[str, type[Record]] = {"": Sweep, "time": Time, "sample": RandomDesign}
-    records["reduce"] = Reduction
+    records |= {"reduce": Reduction, "refine": Refinement}
     if path and path[0] == "axes":
         return list(SpacedRange.model_fields)
     if path[:2] == ["sample", "ranges"]:

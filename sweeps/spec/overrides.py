@@ -7,7 +7,7 @@ from typing import Any
 
 from fic_jax import CHOICES, QUANTITIES
 from sweeps.spec.mistakes import SweepError, hint, printable
-from sweeps.spec.types import Reduction, Time
+from sweeps.spec.types import Reduction, Refinement, Time
 
 # keys outside any table
 TOP_LEVEL = ("name", "description", "metrics", "error_estimate", "precision")
@@ -40,6 +40,7 @@ def override(raw: dict[str, Any], text: str) -> None:
     tables = dict.fromkeys(Time.model_fields, "time") | dict.fromkeys(CHOICES, "model")
     tables |= dict.fromkeys(("n", "method", "seed"), "sample")
     tables |= dict.fromkeys(Reduction.model_fields, "reduce")
+    tables |= dict.fromkeys(Refinement.model_fields, "refine")
     if key in QUANTITIES:
         if isinstance(parsed, str):
             raise SweepError(f"--set {printable(text)}: {_syntax(key, value)}")

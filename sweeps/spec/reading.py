@@ -86,6 +86,7 @@ def validate(raw: dict[str, Any], source: str) -> Sweep:
     if sweep:
         lines += rules.unknown_names(sweep)
         lines += rules.reduction(sweep)
+        lines += rules.refinement(sweep)
         known = rules.known_names(sweep)
         for stage in (rules.placement, rules.time_grid, rules.fields_out_of_bounds):
             lines += stage(known)
@@ -112,13 +113,21 @@ def _without_wrong_entries(raw: dict[str, Any]) -> tuple[Sweep | None, list[str]
         sweep = Sweep.model_validate({"name": "unnamed"} | rest)
     except ValidationError:
         sweep = None
-    return sweep, [explain(error) for error in wrong]
+    lines = [explain(error) for error in wrong]
+    # a key that is missing because it is misspelt is one mistake
+    misspelt = [line.rpartition("; did you mean ")[2] for line in lines]
+    kept = [
+        line
+        for error, line in zip(wrong, lines, strict=True)
+        if not (error["type"] == "missing" and f"`{error['loc'][-1]}`?" in misspelt)
+    ]
+    return sweep, list(dict.fromkeys(kept))
 
 
 def _remove(record: dict[str, Any], place: list[str]) -> None:
     """Remove the entry at a place of a record, and what can't be checked without it."""
     table = record.get(place[0])
-    if place[0] in ("sample", "reduce") or len(place) < 2 or not isinstance(table, dict):
+    if place[0] in ("sample", "reduce", "refine") or len(place) < 2 or not isinstance(table, dict):
         record.pop(place[0], None)
         return
     table.pop(place[1], None)

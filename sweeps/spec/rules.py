@@ -16,11 +16,14 @@ from sweeps.spec.types import (
     MAX_CELLS,
     MAX_PERIODS,
     MAX_REDUCED,
+    MAX_REFINED,
+    MAX_RUNS,
     MAX_STEPS,
     MAX_VALUES,
     ROUNDING,
     STORED,
     Reduction,
+    Refinement,
     SpacedRange,
     Sweep,
 )
@@ -62,15 +65,14 @@ def reduction(sweep: Sweep) -> Iterator[str]:
         return
     yield from _dimensions(list(sweep.dims), reduce)
     metrics = list(sweep.metrics)
-    if not (reduce.metrics or reduce.share):
+    if not (reduce.metrics or reduce.share or reduce.best):  # `best` wants `by`, which is one
         yield "`reduce` must name a statistic (max, min, mean, std, quantiles, share or best)."
     for key in ("max", "min", "mean", "std", "quantiles", "by"):
         listed = getattr(reduce, key) or []
         for name in [listed] if isinstance(listed, str) else listed:
             if name not in metrics:
-                yield f"`reduce.{key}` must name metrics of the sweep, but has `{name}`" + (
-                    "; `metrics` lacks it" if name in STORED else hint(name, metrics)
-                )
+                wanted = "must name metrics of the sweep"
+                yield f"`reduce.{key}` {wanted}, but has `{name}`{_no_metric(name, metrics)}"
         if isinstance(listed, list) and len(set(listed)) < len(listed):
             yield f"`reduce.{key}` must be different from each other, but is {listed}."
     for name, parts in reduce.quantiles.items():
@@ -111,12 +113,13 @@ def _conditions(reduce: Reduction, metrics: list[str]) -> Iterator[str]:
         except ConditionError as wanted:
             yield f"`reduce.share.{name}` must be {wanted}, but is {excerpt(text)}."
             continue
-        for unknown in (n for n in used if n not in metrics and n not in QUANTITIES):
+        unknowns = [n for n in used if n not in metrics and n not in QUANTITIES]
+        for unknown in unknowns:
             known = hint(unknown, [*metrics, *QUANTITIES])
             yield f"`reduce.share.{name}` must have names of metrics and fields alone, but has " + (
                 f"`{unknown}`{known}"
             )
-        if not set(used) & set(metrics):
+        if not unknowns and not set(used) & set(metrics):
             yield f"`reduce.share.{name}` must name a metric, but is {excerpt(text)}."
 
 
@@ -134,6 +137,76 @@ def _reduced_sizes(sweep: Sweep, reduce: Reduction) -> Iterator[str]:
             f"`reduce.quantiles` must be of at most {MAX_VALUES:,} values for each cell, but has "
             f"{excerpt(held)}: they are held in memory and sorted."
         )
+
+
+def refinement(sweep: Sweep) -> Iterator[str]:
+    """What a `[refine]` names that the sweep does not have, and grids that are too large."""
+    if not (refine := sweep.refine):
+        return
+    for table in ("sample", "reduce"):
+        if getattr(sweep, table):
+            yield f"`refine` must be without `{table}`, but both are given."
+    axes = refine.axes or []
+    for name in axes:
+        if name not in sweep.axes:
+            yield f"`refine.axes` must name axes, but has `{name}`{hint(name, sweep.axes)}"
+        elif not isinstance(sweep.axes[name], SpacedRange):
+            example = "{ log = [1, 100], n = 17 }"
+            yield f"`refine.axes` must name ranges such as {example}, but `{name}` is a list."
+    if len(set(axes)) < len(axes):
+        yield f"`refine.axes` must be different from each other, but is {axes}."
+    if not (sweep.refined or sweep.sample):
+        yield "`refine` must have an axis that is a range, but there is none."
+    yield from _differences(sweep, refine)
+    yield from _refined_sizes(sweep, refine)
+
+
+def _differences(sweep: Sweep, refine: Refinement) -> Iterator[str]:
+    """What may differ in a box: conditions and metrics."""
+    metrics = list(sweep.metrics)
+    if not (refine.classes or refine.absolute or refine.relative):
+        yield "`refine` must name classes or a metric (absolute, relative), but has neither."
+    default = "" if "classes" in refine.model_fields_set else " (the default)"
+    for text in refine.classes:
+        try:
+            used = names(text)
+        except ConditionError as error:
+            yield f"`refine.classes` must be {error}, but has {excerpt(text)}."
+            continue
+        for name in (n for n in used if n not in metrics):
+            wanted = "must have names of metrics alone"
+            has = f"has `{name}`{default}{_no_metric(name, metrics)}"
+            yield f"`refine.classes` {wanted}, but {has}"
+        if not used:
+            yield f"`refine.classes` must name a metric, but has {excerpt(text)}."
+    for key, table in (("absolute", refine.absolute), ("relative", refine.relative)):
+        for name in (n for n in table if n not in metrics):
+            wanted = "must name metrics of the sweep"
+            yield f"`refine.{key}` {wanted}, but has `{name}`{_no_metric(name, metrics)}"
+    for name in sorted(refine.absolute.keys() & refine.relative.keys()):
+        yield f"`refine` must have one tolerance of `{name}`, but has two: absolute and relative."
+
+
+def _no_metric(name: str, metrics: list[str]) -> str:
+    """Why a name is no metric of the sweep."""
+    return "; `metrics` lacks it" if name in STORED else hint(name, metrics)
+
+
+def _refined_sizes(sweep: Sweep, refine: Refinement) -> Iterator[str]:
+    """A refined grid must fit into memory, and its budget must do for the coarse one."""
+    coarse = math.prod(sweep.model_copy(update={"refine": None}).dims.values())
+    cells = math.prod(sweep.dims.values())
+    if cells > MAX_REFINED or max(sweep.dims.values(), default=0) > MAX_AXIS:
+        limit = f"at most {MAX_REFINED:,} cells, and {MAX_AXIS:,} along an axis"
+        made = f"{refine.levels} of them make {excerpt(cells)}"
+        yield f"`refine.levels` must make {limit}, but {made}."
+        return
+    if refine.budget is not None and refine.budget < coarse:
+        wanted = f"at least {coarse:,}, the scenarios of the coarse grid"
+        yield f"`refine.budget` must be {wanted}, but is {refine.budget:,}."
+    if min(refine.budget or cells, cells) > MAX_RUNS:
+        given = f"is {refine.budget:,}" if refine.budget else f"none is given for {cells:,} cells"
+        yield f"`refine.budget` must be at most {MAX_RUNS:,}, but {given}."
 
 
 def known_names(sweep: Sweep) -> Sweep:
@@ -162,7 +235,8 @@ def placement(sweep: Sweep) -> Iterator[str]:
     lengths = {name: len(values) for name, values in sweep.cases.items()}
     if len(set(lengths.values())) > 1:
         yield f"`cases` must be columns of equal length, but are {lengths}."
-    for name, axis in sweep.axes.items():
+    for name in sweep.axes:
+        axis = sweep.axis(name)
         if not (axis.distinct if isinstance(axis, SpacedRange) else _distinct(axis)):
             yield f"`axes.{name}` must be values that differ, but some are given twice."
     if sweep.sample and "period" in sweep.sample.ranges:
@@ -183,7 +257,7 @@ def _sizes(sweep: Sweep) -> Iterator[str]:
     if design and design.method == "lhs" and design.n * len(design.ranges) > MAX_AXIS:
         most = MAX_AXIS // len(design.ranges)
         yield f"`sample.n` must be at most {most:,} with lhs, but is {design.n}."
-    period = sweep.axes.get("period")
+    period = sweep.axis("period") if "period" in sweep.axes else None
     if isinstance(period, SpacedRange) and period.n > MAX_PERIODS:
         yield f"`axes.period.n` must be at most {MAX_PERIODS:,}, but is {period.n}."
 

@@ -1,5 +1,6 @@
 """The records of a sweep file: a Sweep and its tables."""
 
+import math
 from typing import Annotated, Any, Literal, Self, cast
 
 import numpy as np
@@ -14,7 +15,8 @@ from pydantic import (
     model_validator,
 )
 
-from fic_jax import CHOICES, METRICS, Model, Params
+from fic_jax import CHOICES, METRICS, QUANTITIES, Model, Params
+from fic_jax.display import Displayed, Row, Table
 
 MAX_AXIS = 10_000_000  # values of one axis: memory holds them all, but never the grid
 MAX_PERIODS = 1_000_000  # values of a `period` axis: each is compared with dt
@@ -22,11 +24,16 @@ MAX_CASES = 10_000  # rows of [cases]: a person writes them
 MAX_CELLS = 10**12  # scenarios of a sweep: each float32 variable then takes 4 TB
 MAX_REDUCED = 1_000_000_000  # scenarios of a cell of a reduced store: hours, without a commit
 MAX_VALUES = 100_000_000  # of a quantile: 0.4 to 0.8 GB
+MAX_REFINED = 100_000_000  # cells of a refined grid: choosing among them takes 30 bytes for each
+MAX_RUNS = 20_000_000  # scenarios of a refined sweep: their values, 50 to 100 bytes, are in memory
+MAX_LEVELS = 20
+MAX_CLASSES = 7  # conditions: a byte has room for all combinations, and for what diverged
 MAX_NAMES = 100  # metrics or choices in a list: fic_jax has fewer
 MAX_STEPS = 100_000_000  # plant steps: the engine counts them in int32
 PIECE = 1_000_000  # values computed at once: extended precision takes 16 bytes for each
 RANGES = 2  # version of the values of a range; raise it with a change of any bit
 ROUNDING = 4 * float(np.finfo(float).eps)  # relative: values closer than this are one value
+MOST_LISTED = 6  # values of a list that a summary shows
 DIGITS = 12  # most digits of a decimal that a person writes
 # Fields that share a check with another field: xb > x0, K0 x0 > Fmax, the stiffest scenario.
 COUPLED = ("K0", "Fmax", "x0", "xb", "S", "I", "Kenv", "Denv")
@@ -61,6 +68,10 @@ class Range(Record):
             raise ValueError("between ends whose difference is finite")
         return self
 
+    def __str__(self) -> str:
+        low, high = self.ends
+        return f"{low:.6g} to {high:.6g}" + (", log" if self.log else "")
+
     @property
     def ends(self) -> tuple[float, float]:
         return cast(tuple[float, float], self.log or self.lin)
@@ -90,6 +101,9 @@ class SpacedRange(Range):
     """`n` values evenly spaced over a range, both ends included."""
 
     n: Count
+
+    def __str__(self) -> str:
+        return f"{self.n:,} values, {super().__str__()}"
 
     def values(self, part: slice = slice(None)) -> np.ndarray:
         """The values at the indices `part`; a value does not depend on `part`.
@@ -123,6 +137,10 @@ class SpacedRange(Range):
         """The two neighbours that differ least, in relation to their size: at the larger end."""
         first_larger = abs(self.ends[0]) > abs(self.ends[1])
         return self.values(slice(0, 2) if first_larger else slice(self.n - 2, self.n))
+
+    def halved(self, times: int) -> "SpacedRange":
+        """The range with a value midway between neighbours, on its scale, then again."""
+        return self.model_copy(update={"n": (self.n - 1) * 2**times + 1})
 
     @property
     def distinct(self) -> bool:
@@ -159,6 +177,18 @@ Choice = Annotated[
     Annotated[str, Tag("text")] | Annotated[Names, Tag("list")],
     Discriminator(lambda given: "list" if isinstance(given, list) else "text"),
 ]
+
+
+def _row(name: str, text: str) -> Row:
+    """A field or a choice with its values."""
+    about = QUANTITIES.get(name, {"unit": "1", "meaning": "choice of the model"})
+    return Row(name, text, about["unit"].removesuffix("1"), about["meaning"])
+
+
+def _listed(values: list[float]) -> str:
+    """Some numbers; of many the first and the last."""
+    texts = [f"{value:.6g}" for value in values]
+    return ", ".join(texts) if len(texts) <= MOST_LISTED else f"{texts[0]}, ..., {texts[-1]}"
 
 
 class Time(Record):
@@ -216,8 +246,41 @@ class Reduction(Record):
         named = (self.max, self.min, self.mean, self.std, self.quantiles, by)
         return list(dict.fromkeys(name for names in named for name in names))
 
+    @property
+    def question(self) -> str:
+        """What it asks, in one line: `over Denv, Td: best sigma by nmse; max nmse`."""
+        parts = [f"best {self.best} by {self.by}"] if self.best else []
+        listed = {key: getattr(self, key) for key in ("max", "min", "mean", "std")}
+        parts += [f"{key} {', '.join(names)}" for key, names in listed.items() if names]
+        for name, numbers in self.quantiles.items():
+            parts.append(f"quantiles {', '.join(f'{part:g}' for part in numbers)} of {name}")
+        parts += [f"share of {text}" for text in self.share.values()]
+        parts += [f"untrusted {self.untrusted:g}"] if self.untrusted else []
+        return f"over {', '.join(self.over)}: {'; '.join(parts)}"
 
-class Sweep(Record):
+
+Tolerance = Annotated[Number, Field(gt=0)]
+
+
+class Refinement(Record):
+    """Table `[refine]`: how often the distances on the axes may be halved, and where.
+
+    A box of the grid is halved where its cells differ: in what conditions hold, in what diverged,
+    or in a metric by more than a tolerance.
+    """
+
+    axes: Names | None = None  # None: all that are ranges
+    levels: Annotated[int, Strict(), Field(ge=1, le=MAX_LEVELS)]
+    budget: Annotated[int, Strict(), Field(ge=1)] | None = None  # most scenarios
+    classes: Annotated[list[Condition], Field(max_length=MAX_CLASSES)] = [
+        "convergence_time < inf",
+        "contact_lost == 0",
+    ]
+    absolute: Annotated[dict[str, Tolerance], Field(max_length=MAX_NAMES)] = {}
+    relative: Annotated[dict[str, Tolerance], Field(max_length=MAX_NAMES)] = {}
+
+
+class Sweep(Displayed, Record):
     """A sweep file. With the program and the precision it determines every number of a store."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
@@ -232,6 +295,7 @@ class Sweep(Record):
     cases: dict[str, Column] = {}
     sample: RandomDesign | None = None
     reduce: Reduction | None = None
+    refine: Refinement | None = None
 
     @property
     def n_steps(self) -> int:
@@ -247,15 +311,32 @@ class Sweep(Record):
         """Name and length of each dimension, in order: model lists, axes, `case`, `scenario`.
 
         Those that a reduction takes away are among them: a `Grid` has the dimensions of the store.
+        A refined axis has its finest values.
         """
         dims = {name: len(c) for name, c in self.model.items() if isinstance(c, list)}
-        for name, axis in self.axes.items():
+        for name in self.axes:
+            axis = self.axis(name)
             dims[name] = axis.n if isinstance(axis, SpacedRange) else len(axis)
         if self.cases:
             dims["case"] = len(next(iter(self.cases.values())))
         if self.sample:
             dims["scenario"] = self.sample.n
         return dims
+
+    @property
+    def refined(self) -> list[str]:
+        """The axes that a refinement halves."""
+        if not self.refine:
+            return []
+        ranges = [name for name, axis in self.axes.items() if isinstance(axis, SpacedRange)]
+        return ranges if self.refine.axes is None else self.refine.axes
+
+    def axis(self, name: str) -> list[float] | SpacedRange:
+        """An axis as the store has it: a refined one with its finest values."""
+        axis = self.axes[name]
+        if self.refine and name in self.refined and isinstance(axis, SpacedRange):
+            return axis.halved(self.refine.levels)
+        return axis
 
     def held(self) -> dict[str, float | str]:
         """Fields and choices that do not vary, with their values; defaults are among them."""
@@ -268,9 +349,30 @@ class Sweep(Record):
         """Those of `held` that the file does not name."""
         return [name for name in self.held() if name not in {*self.constants, *self.model}]
 
+    def _table(self) -> Table:
+        cells, n_steps = math.prod(self.dims.values()), f"{self.n_steps:,} steps"
+        dims = " x ".join(f"{name} {n}" for name, n in self.dims.items())
+        title = f"Sweep {self.name}: {dims} = {cells:,} scenarios of {n_steps}"
+        held, defaults = self.held(), self.defaults()
+        texts = {name: ", ".join(c) for name, c in self.model.items() if isinstance(c, list)}
+        texts |= {name: str(axis) for name, axis in self.axes.items() if isinstance(axis, Range)}
+        texts |= {name: _listed(axis) for name, axis in self.axes.items() if isinstance(axis, list)}
+        texts |= {name: f"{_listed(column)} (case)" for name, column in self.cases.items()}
+        if self.sample:
+            drawn = self.sample.ranges.items()
+            texts |= {name: f"{range_}, {self.sample.method}" for name, range_ in drawn}
+        texts |= {n: f"{v:.6g}" if n in QUANTITIES else str(v) for n, v in held.items()}
+        rows = {name: _row(name, text) for name, text in texts.items()}
+        time = [Row("dt", f"{self.time.dt:g}", "s"), Row("t_end", f"{self.time.t_end:g}", "s")]
+        own = [row for name, row in rows.items() if name not in defaults]
+        if self.reduce:
+            best = f"; best {self.reduce.best} by {self.reduce.by}" if self.reduce.best else ""
+            own.append(Row("reduce", f"over {', '.join(self.reduce.over)}{best}"))
+        return Table(title, own + time, "by default", [rows[name] for name in defaults])
+
     def axis_values(self, name: str, part: slice = slice(None)) -> np.ndarray:
         """Values of an axis at the indices `part`."""
-        axis = self.axes[name]
+        axis = self.axis(name)
         return axis.values(part) if isinstance(axis, SpacedRange) else np.array(axis[part])
 
     def field_values(self, name: str) -> np.ndarray:
@@ -305,7 +407,7 @@ class Sweep(Record):
         }
 
     def _axis_values_to_check(self, name: str) -> np.ndarray:
-        axis = self.axes[name]
+        axis = self.axis(name)
         if isinstance(axis, list) or (name == "period" and axis.n <= MAX_PERIODS):
             return self.axis_values(name)  # any single period may be no multiple of dt
         return axis.outermost

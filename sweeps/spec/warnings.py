@@ -45,7 +45,8 @@ def _torque_out_of_reach(sweep: Sweep) -> Iterator[Warned]:
 
 def _equal_values(sweep: Sweep) -> Iterator[Warned]:
     """Neighbours on an axis that the precision of the run does not tell apart."""
-    for name, axis in sweep.axes.items():
+    for name in sweep.axes:
+        axis = sweep.axis(name)
         values = np.sort(axis) if isinstance(axis, list) else axis.closest()
         with np.errstate(over="ignore", invalid="ignore"):
             same = np.flatnonzero(np.diff(values.astype(f"float{sweep.bits}")) == 0)

@@ -61,14 +61,16 @@ class Writer:
         """
         files = {name: self._encode(row.block, name, values[name]) for name in self.store.variables}
         fsync.stage({self.store.file(name, row.block): files[name] for name in files}, suffix)
-        _, ok, diverged, failed = np.bincount(values["status"], minlength=len(STATUS)).tolist()
+        status = values["status"]
+        cells = np.bincount(status, minlength=len(STATUS))
+        _, ok, diverged, failed = cells[: len(STATUS)].tolist()
         return replace(
             row,
             ok=ok,
             diverged=diverged,
             failed=failed,
             trusted={
-                metric: int(np.sum(values[flag] == TRUSTED))
+                metric: int(np.sum((values[flag] == TRUSTED) & (status == OK)))
                 for flag, metric in store_format.judgements(self.store.grid.sweep).items()
             },
             at=now(),
@@ -132,10 +134,10 @@ def no_values(grid: Grid, index: int) -> Values:
     """The variables of a block that was not run."""
     n, sweep = cells_of(grid.block(index)), grid.sweep
     # the flags say "not run" and "no estimate"
-    return {
-        name: np.zeros(n, int) if store_format.flags(sweep, name) else np.full(n, np.nan)
-        for name in store_format.variable_names(sweep)
+    fills = {
+        name: store_format.fill_value(sweep, name) for name in store_format.variable_names(sweep)
     }
+    return {name: np.full(n, fill) for name, fill in fills.items()}
 
 
 def read_block(store: Store, row: Row) -> Values | None:

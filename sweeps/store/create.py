@@ -12,7 +12,8 @@ import zarr
 
 from sweeps import disk
 from sweeps.plan.grid import Grid
-from sweeps.spec.mistakes import SweepError, command
+from sweeps.spec.mistakes import SweepError, command, printable
+from sweeps.spec.types import Sweep
 from sweeps.store import format as store_format
 from sweeps.store.fsync import PARTIAL, sync, sync_tree
 from sweeps.store.ledger import LEDGER, Ledger, LedgerError
@@ -47,10 +48,7 @@ def build(path: Path, write: Callable[[Path], None]) -> Store:
             if folder.is_relative_to(parent) and folder != path.absolute().parent:
                 sync(folder)
     except (OSError, LedgerError) as error:
-        for folder in path.absolute().parents:
-            if folder.is_relative_to(parent) and folder != parent:
-                with suppress(OSError):  # not made, or another process uses it
-                    folder.rmdir()
+        _remove_new_folders(path, parent)
         reason = getattr(error, "strerror", None) or error
         if disk.refused(error):
             raise OSError(
@@ -60,28 +58,62 @@ def build(path: Path, write: Callable[[Path], None]) -> Store:
     return open_store(path)
 
 
+@contextmanager
+def taken_back_if_refused(path: Path) -> Iterator[None]:
+    """Delete a store that is made at `path` inside, if its run is refused before a block is done.
+
+    A store that was there before stays. Reraises the SweepError.
+    """
+    before, parent = os.path.lexists(path), _existing_parent(path)
+    try:
+        yield
+    except SweepError:
+        if not before and (path / "zarr.json").is_file():
+            with suppress(SweepError, OSError), locked(path):  # by no other process
+                if not open_store(path).rows():
+                    shutil.rmtree(path)
+                    _remove_new_folders(path, parent)
+        raise
+
+
+def _remove_new_folders(path: Path, parent: Path) -> None:
+    """Remove the empty folders around `path` that are below `parent`."""
+    for folder in path.absolute().parents:
+        if folder.is_relative_to(parent) and folder != parent:
+            with suppress(OSError):  # not made, or another process uses it
+                folder.rmdir()
+
+
 def check_new(path: Path, grid: Grid, dtype: str) -> Path:
     """The place of a store that is to be made. Raises SweepError if it can't be made there."""
     path = place_of_new(path)
-    refuse_existing(path)
+    refuse_existing(path, grid.sweep)
     refuse_small_disk(path, grid, dtype)
     return path
 
 
-def refuse_existing(path: Path) -> None:
-    """Raise SweepError if a new store would replace something."""
+def refuse_existing(path: Path, wanted: Sweep | None = None) -> None:
+    """Raise SweepError if a new store, of the sweep `wanted`, would replace something."""
     if outer := store_around(path):
         raise SweepError(f"{path}: lies in the store {outer}; --out names another place")
     if path.exists() or path.is_symlink():
-        try:
-            open_store(path)
-            resume = f"{command('resume', path)} continues it, "
-        except SweepError:  # it is something else
-            resume = ""
-        raise SweepError(f"{path}: exists already; {resume}--out names another")
+        there, resume = "", ""
+        with suppress(SweepError):  # it is something else
+            there = _another(open_store(path).grid.sweep, wanted)
+            resume = "" if there else f"{command('resume', path)} continues it, "
+        raise SweepError(f"{path}: exists already{there}; {resume}--out names another")
     if os.path.lexists(before_extension(path)):  # `recover` would delete it
         resume = f"{command('resume', path)} finishes its extension, which was cut short"
         raise SweepError(f"{path}: {resume}; --out names another")
+
+
+def _another(found: Sweep, wanted: Sweep | None) -> str:
+    """What a store has, if that is not what is wanted of a new one."""
+    if wanted is None or found.record() == wanted.record():
+        return ""
+    if found.reduce and found.reduce != wanted.reduce:
+        return f", with another answer, {printable(found.reduce.question)}"
+    return f", and has another sweep, {found.name}"
 
 
 def partial_of(path: Path) -> Path:

@@ -44,6 +44,9 @@ def extend(store: Store, plan: Sweep, source: str) -> Store:
     if store.grid.shard:
         whole = f"{command('merge', '--help')} says how all become one store, which can be extended"
         raise SweepError(f"{store.path}: is shard {store.grid.shard}; {whole}")
+    if store.grid.sweep.refine or plan.refine:
+        again = "run the larger sweep into a new store"
+        raise SweepError(f"{source}: a refined sweep can't be extended; {again}")
     plan = _settled(store.grid.sweep, plan)
     problems = list(_differences(store, plan))
     grid = Grid(plan, store.grid.chunk)

@@ -10,6 +10,7 @@ from zarr.codecs import BloscCodec, Crc32cCodec
 
 from fic_jax import METRICS, QUANTITIES, TRUST
 from sweeps.plan.grid import Grid
+from sweeps.plan.shard import RULE
 from sweeps.spec.types import STORED, Sweep
 from sweeps.store import reduced
 
@@ -26,6 +27,10 @@ DEFINITIONS = {  # name in a store -> what its metrics are; formats 1 and 2 have
 NOT_RUN, OK, DIVERGED, FAILED = range(4)
 STATUS = {"not run": NOT_RUN, "ok": OK, "diverged": DIVERGED, "failed": FAILED}
 UNTRUSTED = 4  # of a statistic of a reduced store; a cell has none of it
+# of a cell of a refined grid that was not simulated: it has the values of a cell beside it
+OK_NEAR, DIVERGED_NEAR = 5, 6
+NEAR = {"ok nearby": OK_NEAR, "diverged nearby": DIVERGED_NEAR}
+LEVEL, NO_LEVEL = "level", 255  # of a refined grid: a variable, and its fill value
 REFUSED = STATUS | {reduced.NOT_TRUSTED: UNTRUSTED}  # why a statistic has no value, or OK
 NO_ESTIMATE, NOT_TRUSTED, TRUSTED = range(3)
 TRUSTWORTHY = {"no estimate": NO_ESTIMATE, "not trusted": NOT_TRUSTED, "trusted": TRUSTED}
@@ -39,6 +44,7 @@ ESTIMATE = (
     "plant step and its switches located inside the step; infinite where only one of the two runs "
     "gives a finite metric, NaN where one left the finite numbers."
 )
+LEVEL_MEANING = "how often the coarse grid was halved around the cell"
 COORDINATE_CHUNK = 1_000_000  # values
 # All chunks of an array in one folder: one scan lists them, one fsync keeps their names.
 FLAT: Any = {"name": "default", "separator": "."}
@@ -56,14 +62,24 @@ def variable_names(sweep: Sweep, form: int = FORMAT) -> list[str]:
     if sweep.reduce:
         return [*reduced.variables(sweep, REFUSED), "status"]
     errors = [f"{name}_error" for name in sweep.metrics] if sweep.error_estimate else []
-    return [*sweep.metrics, *errors, *judgements(sweep, form), "status"]
+    levels = [LEVEL] if sweep.refine else []
+    return [*sweep.metrics, *errors, *judgements(sweep, form), *levels, "status"]
 
 
 def flags(sweep: Sweep, name: str) -> dict[str, int]:
     """The words of a flag variable and their codes; empty if the variable is none."""
     if sweep.reduce and name != "status":
         return reduced.variables(sweep, REFUSED)[name].flags
+    if sweep.refine and name == "status":
+        return STATUS | NEAR
     return FLAGS.get(name, {})
+
+
+def fill_value(sweep: Sweep, name: str) -> float:
+    """What a variable has in cells that were not run."""
+    if name == LEVEL:
+        return NO_LEVEL
+    return 0 if flags(sweep, name) else np.nan
 
 
 def bound(name: str) -> str:
@@ -108,7 +124,7 @@ def arrays(grid: Grid, dtype: str, form: int = FORMAT) -> Iterator[dict[str, Any
 
 def variable(grid: Grid, name: str, dtype: str) -> dict[str, Any]:
     """Arguments of `zarr.create_array` for a variable."""
-    fill, words = np.nan, flags(grid.sweep, name)
+    words = flags(grid.sweep, name)
     if grid.sweep.reduce and name != "status":
         one = reduced.variables(grid.sweep, REFUSED)[name]
         dtype = one.dtype or dtype
@@ -116,12 +132,14 @@ def variable(grid: Grid, name: str, dtype: str) -> dict[str, Any]:
         attributes |= {"ancillary_variables": one.status} if one.status else {}  # CF conventions
     elif words:
         attributes = _flag_meaning(name)
+    elif name == LEVEL:
+        dtype, attributes = "uint8", {"units": "1", "long_name": LEVEL_MEANING}
     else:
         metric = METRICS[ERRORS.get(name, name)]
         prefix = "estimated error of " if name in ERRORS else ""
         attributes = {"units": metric["unit"], "long_name": prefix + metric["meaning"]}
     if words:
-        dtype, fill = "uint8", 0.0
+        dtype = "uint8"
         attributes |= {
             "flag_values": list(words.values()),
             "flag_meanings": " ".join(word.replace(" ", "_") for word in words),
@@ -132,7 +150,7 @@ def variable(grid: Grid, name: str, dtype: str) -> dict[str, Any]:
         "chunks": grid.block_shape,
         "dimension_names": list(grid.dims),
         "dtype": np.dtype(dtype),
-        "fill_value": fill,
+        "fill_value": fill_value(grid.sweep, name),
         "compressors": _codecs(np.dtype(dtype).itemsize),
         "chunk_key_encoding": FLAT,
         # An all-NaN chunk is a file too: so a missing file always means "not run".
@@ -168,28 +186,11 @@ def attributes(grid: Grid) -> dict[str, Any]:
         "metrics_definition": DEFINITION,
         "metrics_definition_meaning": DEFINITIONS[DEFINITION],
     }
-    record |= {"shard": str(grid.shard)} if grid.shard else {}
-    record |= {"reduced_over": json.dumps(_ranges(grid))} if sweep.reduce else {}
+    record |= {"shard": str(grid.shard), "shard_rule": RULE} if grid.shard else {}
+    if sweep.refine:
+        record |= {"refined_axes": " ".join(sweep.refined), "refined_levels": sweep.refine.levels}
+    record |= {"reduced_over": " ".join(sweep.reduce.gone)} if sweep.reduce else {}
     return record | ({"error_estimate_meaning": ESTIMATE} if sweep.error_estimate else {})
-
-
-def _ranges(grid: Grid) -> dict[str, list[Any]]:
-    """What varied along the dimensions that are gone: number of values, the least, the largest.
-
-    Of a choice all values; of a random design the ends of its ranges.
-    """
-    sweep, ranges = grid.sweep, {}
-    for dim in sweep.reduce.gone if sweep.reduce else ():
-        if dim in sweep.model:
-            ranges[dim] = [grid.full.dims[dim], *sweep.model[dim]]
-        elif dim == "scenario" and sweep.sample:
-            for name, drawn in sweep.sample.ranges.items():
-                ranges[name] = [sweep.sample.n, *sorted(drawn.ends)]
-        else:
-            for name in sweep.cases if dim == "case" else [dim]:
-                ends = sweep.outermost(name)
-                ranges[name] = [grid.full.dims[dim], float(ends.min()), float(ends.max())]
-    return ranges
 
 
 def size(grid: Grid, dtype: str) -> int:
@@ -202,7 +203,8 @@ def size(grid: Grid, dtype: str) -> int:
         cell = sum(own) + 1
     else:
         names = variable_names(grid.sweep)
-        cell = sum(1 if name in FLAGS else np.dtype(dtype).itemsize for name in names)
+        small = (*FLAGS, LEVEL)
+        cell = sum(1 if name in small else np.dtype(dtype).itemsize for name in names)
     coordinates = sum(n * 8 * len(grid.coordinates(d, slice(0, 1))) for d, n in grid.dims.items())
     return grid.own_cells * cell + coordinates
 

@@ -4,6 +4,7 @@ import json
 import os
 import re
 import stat
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,14 +14,25 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 import zarr
 
-from sweeps.plan.grid import Grid
-from sweeps.plan.shard import Shard
+from fic_jax import display
+from sweeps.plan.grid import Grid, cells_of
+from sweeps.plan.shard import RULE, Shard
 from sweeps.spec.mistakes import SweepError, command, printable
 from sweeps.spec.overrides import override
 from sweeps.spec.reading import validate
 from sweeps.spec.types import Sweep
 from sweeps.store import format as store_format
-from sweeps.store.format import DEFINITION, DEFINITIONS, FORMAT, NOT_RUN, OK, STATUS, TRUSTED
+from sweeps.store.format import (
+    DEFINITION,
+    DEFINITIONS,
+    DIVERGED,
+    FORMAT,
+    NOT_RUN,
+    OK,
+    STATUS,
+    TRUSTED,
+)
+from sweeps.store.journal import Journal
 from sweeps.store.ledger import (
     DONE,
     LEDGER,
@@ -45,14 +57,30 @@ Entry = TypeVar("Entry")
 CODECS = {"bytes", "blosc", "crc32c", "vlen-utf8"}
 
 
-@dataclass(frozen=True)
-class Store:
+@dataclass(frozen=True, repr=False)
+class Store(display.Displayed):
     """An open store: where it is, its plan, its arrays, its ledger."""
 
     path: Path
     grid: Grid
     group: zarr.Group
     ledger: Ledger | None  # None in format 1
+
+    def _table(self) -> display.Table:
+        sweep = self.grid.sweep
+        dims = " x ".join(f"{name} {n}" for name, n in self.grid.dims.items())
+        try:
+            cells = [display.Row(name, f"{n:,}") for name, n in Counts.of(self).cells.items() if n]
+        except Exception as error:  # damaged or gone: the line says it
+            cells = [display.Row("cells", str(error).splitlines()[0])]
+        rows = [
+            display.Row("sweep", f"{sweep.name}: {dims}, {self.dtype}"),
+            *cells,
+            display.Row(
+                "variables", textwrap.shorten(", ".join(self.variables), 70, placeholder=" ...")
+            ),
+        ]
+        return display.Table(f"Store {self.path}; xarray.open_zarr(store.path) reads it", rows)
 
     @property
     def dtype(self) -> str:
@@ -74,6 +102,11 @@ class Store:
         """The variables, in the order they are written."""
         return store_format.variable_names(self.grid.sweep, self.form)
 
+    @property
+    def journal(self) -> Journal:
+        """What a refined run has simulated, until its blocks are written."""
+        return Journal(self.path, str(self.group.attrs["sweep_sha256"]))
+
     def array(self, name: str) -> zarr.Array[Any]:
         """A variable or a coordinate on the disk."""
         return self._arrays[name]
@@ -92,7 +125,7 @@ class Store:
             return list(self._rows_of_format_1())
         rows = self._read(self.ledger.rows)
         for row in rows:
-            if row.block not in self.grid.own or set(row.files) - set(self.variables):
+            if not self.grid.owns(row.block) or set(row.files) - set(self.variables):
                 raise self.damaged(f"{LEDGER} is damaged: it has a block {row.block}")
         return rows
 
@@ -106,8 +139,27 @@ class Store:
             )
 
     def run_again(self) -> str:
-        """The command that runs its sweep again, into another store."""
+        """The command that runs its sweep, or its shard, again, into another store."""
+        shard = self.grid.shard
+        if shard:
+            again = f"{shard.whole(self.path).stem}-again.zarr"
+            return self.run_shard(shard, Path(again))
         return command("run", self.path, "--out", Path(f"{self.path.stem}-again.zarr"))
+
+    def run_shard(self, shard: Shard, whole: Path) -> str:
+        """The command that runs a shard of its sweep, as a part that `merge` takes with this one.
+
+        `whole` is the store of all parts.
+        """
+        attributes = self.group.attrs
+        options = {
+            "--shard": shard,
+            "--chunk": attributes["block_cells"],
+            "--precision": self.dtype.removeprefix("float"),
+            "--device": attributes["platform"],
+            "--out": whole,
+        }
+        return command("run", self.path, *(word for pair in options.items() for word in pair))
 
     def sweep_again(self, overrides: Sequence[str] = ()) -> Sweep:
         """Its sweep for a new run, changed as by `--set`. Raises SweepError for a mistake."""
@@ -219,14 +271,26 @@ class Counts:
         """Count the rows of a store's ledger. Raises SweepError if the ledger is damaged."""
         rows = store.rows()
         cells = {name: sum(getattr(row, name) for row in rows) for name in list(STATUS)[OK:]}
-        cells = {"not run": store.grid.own_cells - sum(cells.values())} | cells
         done = {row.block for row in rows if row.outcome == DONE}
+        trusted = {
+            metric: sum(_trusted(row, metric) for row in rows)
+            for metric in store_format.judgements(store.grid.sweep, store.form).values()
+        }
+        if store.grid.sweep.refine:  # a finished block has no other cells than these
+            near = sum(cells_of(store.grid.block(block)) for block in done)
+            cells["nearby"] = near - cells["ok"] - cells["diverged"]
+            for numbers, values in store.journal.read():
+                elsewhere = ~np.isin(store.grid.block_of(numbers), list(done))
+                status = values["status"][elsewhere]
+                cells["ok"] += int(np.sum(status == OK))
+                cells["diverged"] += int(np.sum(status == DIVERGED))
+                for metric in trusted:
+                    flag = values[f"{metric}_trusted"][elsewhere]
+                    trusted[metric] += int(np.sum((flag == TRUSTED) & (status == OK)))
+        cells = {"not run": store.grid.own_cells - sum(cells.values())} | cells
         return cls(
             cells,
-            trusted={
-                metric: sum(_trusted(row, metric) for row in rows)
-                for metric in store_format.judgements(store.grid.sweep, store.form).values()
-            },
+            trusted,
             pending=[i for i in store.grid.own if i not in done],
             set_aside=[row for row in rows if row.outcome == SET_ASIDE],
             unfinished={row.block: row for row in rows if row.outcome != DONE},
@@ -286,6 +350,11 @@ def _read(path: Path) -> Store:
         raise ValueError(f"block_cells {chunk}, dtype {attributes['dtype']}")
     ledger = Ledger(path / LEDGER) if written > 1 else None
     shard = Shard.parse(str(attributes["shard"])) if "shard" in attributes else None
+    if shard and attributes.get("shard_rule") != RULE:
+        raise SweepError(
+            f"{path}: is shard {shard} of another version of fic-sweep, which divides the blocks "
+            "in another way; only that one can read it"
+        )
     store = Store(path, Grid(sweep, chunk, shard), group, ledger)
     for array in store_format.arrays(store.grid, store.dtype, store.form):
         if not _matches(store, array):

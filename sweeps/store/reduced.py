@@ -12,6 +12,7 @@ import numpy as np
 
 from fic_jax import METRICS, QUANTITIES
 from sweeps.plan.grid import Grid
+from sweeps.plan.random_design import draw
 from sweeps.spec import condition
 from sweeps.spec.types import Reduction, Sweep
 
@@ -31,6 +32,7 @@ class Variable:
         default_factory=dict
     )  # word -> code, in uint8; 0 is the fill value
     status: str = ""  # the variable that says what became of it
+    place: str = ""  # the field or choice of which it has values
 
 
 def variables(sweep: Sweep, status: dict[str, int]) -> dict[str, Variable]:
@@ -56,8 +58,10 @@ def place_names(sweep: Sweep, dim: str) -> list[str]:
     """What the store says of a place along a dimension that goes.
 
     The value of an axis or a choice; of a case its number and its columns; of a drawn scenario its
-    number.
+    number and its fields.
     """
+    if dim == "scenario" and sweep.sample:
+        return [dim, *sweep.sample.ranges]
     return [dim, *sweep.cases] if dim == "case" else [dim]
 
 
@@ -67,7 +71,7 @@ def _variables(sweep: Sweep, reduce: Reduction, status: dict[str, int]) -> Itera
         worst = f"largest {_words(str(reduce.by))} {over}"
         over += f", at the best {reduce.best}"
         for name in place_names(sweep, reduce.best):
-            what = f"with the smallest {worst}"
+            what = f"whose {worst} is smallest"
             yield _place(sweep, f"best_{name}", name, what, f"{reduce.by}_status")
         units = METRICS[str(reduce.by)]["unit"]
         meaning = f"{worst}, at the best {reduce.best}"
@@ -117,10 +121,12 @@ def _place(sweep: Sweep, variable: str, name: str, what: str, status: str) -> Va
     """The value at a place: a number in double precision, so that `.sel` finds it, or a choice."""
     if name in sweep.model:
         flags = {choice: i for i, choice in enumerate([NONE, *sweep.model[name]])}
-        return Variable(variable, f"{name} {what}", dtype="uint8", flags=flags, status=status)
+        return Variable(
+            variable, f"{name} {what}", dtype="uint8", flags=flags, status=status, place=name
+        )
     quantity = QUANTITIES.get(name, {"unit": "1", "meaning": f"number of the {name}"})
     meaning = f"{quantity['meaning']} {what}"
-    return Variable(variable, meaning, quantity["unit"], "float64", status=status)
+    return Variable(variable, meaning, quantity["unit"], "float64", status=status, place=name)
 
 
 def place_values(grid: Grid, dim: str, index: np.ndarray) -> dict[str, np.ndarray]:
@@ -128,7 +134,11 @@ def place_values(grid: Grid, dim: str, index: np.ndarray) -> dict[str, np.ndarra
     known, at = index >= 0, np.maximum(index, 0)
     if dim in grid.sweep.model:
         return {dim: np.where(known, at + 1, 0)}
-    if dim == "scenario":  # its fields would have to be drawn, each by itself
-        return {dim: np.where(known, at, np.nan)}
-    along = grid.full.coordinates(dim)
+    if dim == "scenario" and grid.sweep.sample:  # a design of millions is not drawn for a few
+        numbers, at = np.unique(at, return_inverse=True)
+        drawn = [draw(grid.sweep.sample, i, i + 1) for i in numbers.tolist()]
+        along = {n: np.concatenate([one[n] for one in drawn]) for n in grid.sweep.sample.ranges}
+        along[dim] = numbers
+    else:
+        along = grid.full.coordinates(dim)
     return {n: np.where(known, along[n][at], np.nan) for n in place_names(grid.sweep, dim)}

@@ -14,6 +14,7 @@ from sweeps.spec.mistakes import SweepError
 from sweeps.store import fsync
 from sweeps.store.commit import write_checksum
 from sweeps.store.create import write_empty
+from sweeps.store.journal import NAME as IN_JOURNAL
 from sweeps.store.ledger import CHECKSUM, LEDGER, Ledger, LedgerError, MetadataFile, Row, intact
 from sweeps.store.lock import LOCK, locked
 from sweeps.store.opening import Store, as_written, open_store
@@ -72,6 +73,8 @@ def verify(path: Path) -> Report:
         return Report(None, len(files), tuple(problems))
     store = open_store(path)
     problems += [problem for row in rows for problem in _block_problems(store, row)]
+    how = "is not as it was written; a run simulates its cells again"
+    problems += [Problem(one.name, how, repairable=False) for one in store.journal.damaged()]
     if "end" in store.group.attrs:  # a finished store has a row for each block
         missing = set(store.grid.own) - {row.block for row in rows}
         problems += [Problem(LEDGER, f"has no row of block {b}", b) for b in sorted(missing)]
@@ -153,7 +156,7 @@ def _ledger_problems(ledger: Ledger) -> Iterator[Problem]:
 
 
 def _block_problems(store: Store, row: Row) -> Iterator[Problem]:
-    if row.block not in store.grid.own or set(row.files) != set(store.variables):
+    if not store.grid.owns(row.block) or set(row.files) != set(store.variables):
         yield Problem(LEDGER, f"is damaged: block {row.block} is none of this sweep")
         return
     for file, checksum in store.files(row):
@@ -184,7 +187,8 @@ def _entries(store: Store, files: list[MetadataFile]) -> Iterator[tuple[str, boo
         name = file.relative_to(store.path).as_posix()
         whole = name.removesuffix(fsync.PARTIAL)
         folder, _, block = whole.partition("/")
-        yield name, whole in known or (folder in store.variables and block in blocks)
+        ours = whole in known or bool(IN_JOURNAL.fullmatch(whole))
+        yield name, ours or (folder in store.variables and block in blocks)
 
 
 def _folders(files: list[MetadataFile]) -> list[str]:

@@ -113,7 +113,7 @@ def test_a_list_of_hosts(cluster):
 
 
 def test_the_commands_of_two_machines(cluster):
-    (text,) = re.findall(r"```\n(fic-sweep run \S+ --shard .*?)```", PAGE, re.DOTALL)
+    (text,) = re.findall(r"```sh\n(fic-sweep run \S+ --shard .*?)```", PAGE, re.DOTALL)
     text = text.replace("--x Td --y K0", "--x K0")  # mine.toml has one axis
     text = text.replace("run mine.toml", "run mine.toml --chunk 1")
     said = ""

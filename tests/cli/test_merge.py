@@ -11,7 +11,7 @@ import xarray as xr
 from tests.cli.conftest import TINY
 from tests.cli.test_advice import advice, pasted
 from tests.command import typed
-from tests.store.stores import contents
+from tests.store.stores import change_attributes, contents
 
 RUN = ("run", "tiny.toml", "--chunk", "4")  # four blocks
 
@@ -26,8 +26,7 @@ def made(tmp_path_factory):
         assert typed(*RUN).code == 0
         for k in (1, 2):
             ended = typed(*RUN, "--shard", f"{k}/2")
-            scenarios = {1: 8, 2: 4}[k]
-            assert ended.stdout.startswith(f"tiny.{k}-of-2.zarr: {scenarios} scenarios in ")
+            assert ended.stdout.startswith(f"tiny.{k}-of-2.zarr: 6 scenarios in ")
     return folder
 
 
@@ -53,20 +52,20 @@ def test_a_merged_store_has_the_bits_of_one_run(parts):
 
 def test_a_part_counts_its_own_blocks(parts):
     status = typed("status", "tiny.2-of-2.zarr").stdout
-    assert "\nshard     2/2, 4 scenarios in 2 blocks\ndone      4 of 4 cells (100 %)\n" in status
+    assert "\nshard     2/2, 6 scenarios in 2 blocks\ndone      6 of 6 cells (100 %)\n" in status
     assert "blocks    0 of 2 to do\n" in status
-    assert typed("resume", "tiny.2-of-2.zarr").stdout.endswith("complete already, 4 scenarios\n")
+    assert typed("resume", "tiny.2-of-2.zarr").stdout.endswith("complete already, 6 scenarios\n")
     again = typed(*RUN, "--shard", "2/2")
-    assert again.stdout == "tiny.2-of-2.zarr: complete already, 4 scenarios\n"
+    assert again.stdout == "tiny.2-of-2.zarr: complete already, 6 scenarios\n"
     assert typed("verify", "tiny.2-of-2.zarr").code == 0
     assert typed("plot", "tiny.2-of-2.zarr", "--x", "Td", "--y", "K0").code == 0
     export = typed("export", "tiny.2-of-2.zarr", "--to", "csv")
-    assert export.stderr == "fic-sweep: warning: 8 of them are of other shards than 2/2\n"
+    assert export.stderr == "fic-sweep: warning: 6 of them are of other shards than 2/2\n"
 
 
 def test_a_dry_run_says_what_the_shard_has(parts):
     ended = typed(*RUN, "--shard", "1/3", "--dry-run")
-    assert "\nshard     1/3, 6 scenarios in 2 blocks\n" in ended.stdout
+    assert "\nshard     1/3, 4 scenarios in 1 block\n" in ended.stdout
     assert not os.path.exists("tiny.1-of-3.zarr")
     ended = typed(*RUN, "--shard", "1/2", "--dry-run")
     assert "warning: tiny.1-of-2.zarr exists already: `run` continues it" in ended.stderr
@@ -99,10 +98,32 @@ def test_the_command_of_a_message_completes_the_parts(parts, missing):
     assert contents(Path("tiny.zarr")) == contents(Path("one run.zarr"))
 
 
+def test_a_part_of_another_program_says_how_to_run_its_shard_again(parts):
+    """In a job array each part gives the advice for itself, and all that is pasted merges."""
+    for k, part in enumerate(parts, 1):
+        change_attributes(part, jax="0.1")
+        ended = typed(*RUN, "--shard", f"{k}/2")
+        assert (ended.code, len(ended.stderr.splitlines())) == (2, 1)
+        (command,) = advice(ended)
+        assert f" --shard {k}/2 --chunk 4 --precision 32 --device cpu " in command
+        assert pasted(command) == 0
+    again = sorted(Path().glob("tiny-again.?-of-2.zarr"))
+    assert typed("merge", *again).code == 0
+    assert contents(Path("tiny-again.zarr")) == contents(Path("tiny.zarr"))
+
+
+def test_the_shard_of_a_part_has_the_chunk_of_the_part(parts):
+    ended = typed("run", "tiny.1-of-2.zarr", "--shard", "2/2", "--out", "new.zarr")
+    assert ended.stdout.startswith("new.2-of-2.zarr: 6 scenarios in ")
+    assert typed("merge", parts[0], "new.2-of-2.zarr", "--out", "all.zarr").code == 0
+    ended = typed("run", "tiny.1-of-2.zarr", "--set", "t_end=1.0", "--dry-run")
+    assert "\n1 block of up to 4 x 3\n" in ended.stdout  # another sweep has its own plan
+
+
 def test_a_merge_without_a_shard_says_what_does_the_rest(parts):
     ended = typed("merge", parts[0], "--incomplete", "--out", "most.zarr")
     rest = "2 blocks still to run: `fic-sweep resume most.zarr` does"
-    assert ended.stdout == f"most.zarr: 8 scenarios of 1 part; {rest}\n"
+    assert ended.stdout == f"most.zarr: 6 scenarios of 1 part; {rest}\n"
     assert pasted(*advice(ended)) == 0
     assert contents(Path("most.zarr")) == contents(Path("tiny.zarr"))
 
@@ -119,6 +140,7 @@ WRONG = [
         "tiny.1-of-2.zarr: was begun with another --chunk; --out names another",
     ),
     ([*RUN, "--set", "K0=[1,2,3,4]", "--shard", "1/2"], "begun with another sweep; --out"),
+    ([*RUN, "--shard", "1/2", "--precision", "64"], "was begun with another --precision; --out"),
     (["merge"], "Missing argument 'PART...'"),
     (["merge", "none.zarr"], "none.zarr: is no result store: there is nothing of this name"),
     (["merge", "tiny.*-of-9.zarr"], "tiny.*-of-9.zarr: is no result store"),

@@ -25,6 +25,19 @@ def test_a_log_gets_a_line_for_each_interval(folder, monkeypatch, interval, line
     assert "\x1b" not in summary
 
 
+@pytest.mark.parametrize("interval", [0.0, math.inf])
+def test_merge_and_reduce_count_their_blocks_in_a_log(folder, monkeypatch, interval):
+    for k in (1, 2):
+        assert typed("run", "tiny.toml", "--chunk", "3", "--shard", f"{k}/2").code == 0
+    monkeypatch.setattr(progress, "LOG_INTERVAL", interval)
+    merge = ("merge", "tiny.1-of-2.zarr", "tiny.2-of-2.zarr")
+    reduce = ("reduce", "tiny.zarr", "--over", "Td", "--max", "nmse", "--chunk", "1")
+    for words, blocks in ((merge, 8), (reduce, 4)):
+        log = [line for line in typed(*words).stdout.splitlines() if line.endswith(" blocks")]
+        counts = [f"{done} of {blocks} blocks" for done in range(1, blocks + 1)]
+        assert log == ([] if interval else counts)
+
+
 class Terminal(io.StringIO):
     def isatty(self):
         return True
@@ -43,3 +56,7 @@ def test_a_terminal_gets_a_bar_that_leaves_no_trace(folder, monkeypatch):
     assert "0 % compiling" in drawn
     assert "100 %" in drawn
     assert drawn.endswith("\x1b[2K")  # the line is erased
+    with progress.blocks_counted("merge") as show:
+        show(3, 8)
+    assert "merge" in terminal.getvalue()
+    assert "3/8\x1b[0m blocks" in terminal.getvalue()

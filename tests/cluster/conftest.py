@@ -1,11 +1,13 @@
 """Two real workers of Dask, and the store of an undisturbed run."""
 
+import multiprocessing
 import os
+from multiprocessing import forkserver
 from pathlib import Path
 
 import pytest
 
-from sweeps import runner
+from sweeps import cluster, runner
 from sweeps.spec.reading import parse
 from tests.cluster import sabotage
 
@@ -19,6 +21,11 @@ Td = [1.0, 5.0, 12.0]
 """
 PLAN = parse(TEXT, "many.toml")
 BLOCKS = 18
+
+
+@pytest.fixture(autouse=True)
+def _often(monkeypatch):
+    monkeypatch.setattr(cluster, "LOOK", 0.1)
 
 
 @pytest.fixture(scope="session")
@@ -35,9 +42,18 @@ def workers(folder_of_sabotage):
     distributed = pytest.importorskip("distributed", reason="needs the extra `dask`")
     import dask.config
 
+    # A worker is a fork of a process that has imported all: it starts in a tenth of a second
+    # instead of three. JAX has not started in that process.
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["distributed", "sweeps.worker"])
+    forkserver.ensure_running()
     preload = ["sweeps.worker", os.path.abspath(sabotage.__file__)]
+    settings = {
+        "distributed.deploy.lost-worker-timeout": 60,
+        "distributed.worker.multiprocessing-method": "forkserver",
+    }
     with (
-        dask.config.set({"distributed.deploy.lost-worker-timeout": 60}),
+        dask.config.set(settings),
         distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0",
             memory_limit=0, silence_logs=50, preload=preload,
@@ -55,10 +71,18 @@ def client(workers):
 
 @pytest.fixture
 def sabotaged(folder_of_sabotage):
-    """`sabotaged(action, text)` makes blocks go wrong until the end of the test."""
-    yield lambda action, text="": (folder_of_sabotage / action).write_text(str(text))
-    for file in folder_of_sabotage.iterdir():
-        file.unlink()
+    """`sabotaged(action, text)` makes blocks go wrong, until `sabotaged.end()` or the end."""
+
+    def sabotage(action, text=""):
+        (folder_of_sabotage / action).write_text(str(text))
+
+    def end():
+        for file in folder_of_sabotage.iterdir():
+            file.unlink(missing_ok=True)
+
+    sabotage.end = end
+    yield sabotage
+    end()
 
 
 @pytest.fixture(scope="session")

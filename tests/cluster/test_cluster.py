@@ -24,6 +24,7 @@ from sweeps.store.fsync import PARTIAL
 from sweeps.store.ledger import SET_ASIDE
 from sweeps.store.opening import Counts, dataset, open_store
 from tests.cluster.conftest import BLOCKS, PLAN, TEXT
+from tests.command import typed
 from tests.torture import TORTURE, many
 
 distributed = pytest.importorskip("distributed", reason="needs the extra `dask`")
@@ -96,13 +97,16 @@ def test_workers_that_are_killed(tmp_path, client, whole, sabotaged):
     same_files(store, whole)
 
 
-def test_a_block_that_kills_its_worker_is_set_aside(tmp_path, client, whole, sabotaged):
+def test_a_block_that_kills_its_worker_is_set_aside(
+    tmp_path, client, whole, sabotaged, monkeypatch
+):
+    monkeypatch.setattr(cluster, "ATTEMPTS", attempts := many(2, runner.ATTEMPTS))
     store = start(tmp_path)
     sabotaged("kill", store.grid.block(4))
     result = run(store, client)
     (row,) = result.set_aside
-    assert (row.block, row.outcome, row.attempt) == (4, SET_ASIDE, runner.ATTEMPTS)
-    assert row.error == "killed its worker 3 times"
+    assert (row.block, row.outcome, row.attempt) == (4, SET_ASIDE, attempts)
+    assert row.error == f"killed its worker {attempts} times"
     assert (result.done, result.ran) == (BLOCKS - 1, BLOCKS - 1)
     sabotaged("kill", "no block")
     again = run(runner.reopen(store.path, 32), client)
@@ -200,6 +204,51 @@ def test_a_worker_that_does_not_see_the_store_is_not_used(tmp_path, client):
         runner.run(store, lambda _: None, run_blocks=workers.run_blocks)
 
 
+def test_a_worker_that_hangs_while_it_gets_ready_is_not_used(
+    tmp_path, client, whole, sabotaged, monkeypatch
+):
+    """The other one begins meanwhile."""
+    sabotaged("deaf-1")
+
+    def no_patience(progress):
+        if progress.done:
+            monkeypatch.setattr(cluster, "READY", 0.0)
+            monkeypatch.setattr(cluster, "LOOK", 0.0)
+
+    store, hangs = start(tmp_path), r"is not used: it hangs: it is not ready after 0 s$"
+    with pytest.warns(RuntimeWarning, match=rf"^worker tcp://\S+ {hangs}"):
+        result = run(store, client, no_patience)
+    assert (result.done, result.set_aside) == (BLOCKS, ())
+    same_files(store, whole)
+
+
+def test_a_run_that_no_worker_can_do_leaves_nothing(tmp_path, client, sabotaged, monkeypatch):
+    """Exit 2; a store that was there before stays."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "many.toml").write_text(TEXT)
+    monkeypatch.setattr(cluster, "READY", 0.0)
+    there = start(tmp_path / "there")
+    for words in (
+        ("run", "many.toml", "--chunk", "1", "--out", "new/folder/many.zarr"),
+        ("run", "many.toml", "--chunk", "1", "--shard", "1/2"),
+        ("resume", there.path),
+    ):
+        for name in ("deaf-1", "deaf-2"):
+            sabotaged(name)
+        with pytest.warns(RuntimeWarning, match="is not used: it hangs"):
+            ended = typed(*words, "--dask", client.scheduler.address)
+        assert ended.code == 2
+        (line,) = [line for line in ended.stderr.splitlines() if "dashboard" not in line]
+        assert re.search(r"many\S*\.zarr: no worker can run it: tcp://\S+: it hangs: it is", line)
+        sabotaged.end()
+    sabotaged("deaf-1")
+    sabotaged("deaf-2")
+    with pytest.warns(RuntimeWarning), pytest.raises(SweepError, match="no worker can run it"):
+        sweeps.run(PLAN, tmp_path / "python.zarr", client=client)
+    assert sorted(tmp_path.iterdir()) == [tmp_path / "many.toml", tmp_path / "there"]
+    assert open_store(there.path).rows() == []
+
+
 WITHOUT_PACKAGE = """
 import asyncio, sys
 from distributed import Worker
@@ -279,7 +328,8 @@ def test_the_script_of_the_page(tmp_path, whole):
     """docs/clusters.md, as a user's own file."""
     page = (Path(__file__).parent.parent.parent / "docs" / "clusters.md").read_text("utf-8")
     (script,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
-    (tmp_path / "script.py").write_text(script.replace("client=client", "client=client, chunk=1"))
+    script = script.replace("client=client", "client=client, chunk=1")
+    (tmp_path / "script.py").write_text(script.replace("n_workers=2", "n_workers=1"))
     (tmp_path / "mine.toml").write_text(TEXT)
     done = subprocess.run(
         [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=False

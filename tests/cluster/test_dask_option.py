@@ -14,6 +14,7 @@ from sweeps.store.opening import Counts, open_store
 from tests.cluster import sabotage
 from tests.cluster.conftest import BLOCKS, TEXT
 from tests.command import FIC_SWEEP, typed
+from tests.torture import TORTURE
 
 
 @pytest.fixture
@@ -26,7 +27,7 @@ def folder(tmp_path, monkeypatch):
 
 def started(folder, *arguments):
     """The command in a process group of its own, as a terminal starts it; its workers are slow."""
-    (folder / "slow").write_text("0.5")
+    (folder / "slow").write_text("0.3")
     # the workers of `--dask local:N` load sweeps.worker, and with it the sabotage
     code = (
         "import sys, sweeps.cluster as c, sweeps.cli as cli\n"
@@ -54,8 +55,8 @@ def wait_for_blocks(path, n):
     raise AssertionError("no block was done in a minute")
 
 
-def test_ctrl_c_then_a_kill_then_the_rest(folder):
-    """The store ends as that of a run in one process."""
+def test_ctrl_c_then_the_rest(folder, whole):
+    """The store ends as that of a run in one process. In the torture test the driver is killed."""
     pytest.importorskip("distributed", reason="needs the extra `dask`")
     path = folder / "many.zarr"
     arguments = ("run", "many.toml", "--chunk", "1", "--dask", "local:2")
@@ -64,33 +65,28 @@ def test_ctrl_c_then_a_kill_then_the_rest(folder):
         os.killpg(process.pid, signal.SIGINT)  # the terminal sends it to the workers too
         _, err = process.communicate(timeout=60)
     assert process.returncode == 1, err
-    stopping, last = err.splitlines()
+    stopping, last = (line for line in err.splitlines() if "dashboard" not in line)
     assert stopping == "fic-sweep: stopping after this block; a second signal stops at once"
     kept = int(
         re.search(r"interrupted; (\d+) of 18 scenarios are kept, `fic-sweep resume", last)[1]
     )
     assert 2 <= kept < BLOCKS
-    with started(folder, "resume", "many.zarr", "--dask", "local:2") as process:
-        wait_for_blocks(path, kept + 2)
-        process.kill()
-        process.communicate(timeout=60)
-    again = Counts.of(open_store(path)).done
-    assert kept + 2 <= again < BLOCKS
+    if TORTURE:
+        with started(folder, "resume", "many.zarr", "--dask", "local:2") as process:
+            wait_for_blocks(path, kept + 2)
+            process.kill()
+            process.communicate(timeout=60)
+        again = Counts.of(open_store(path)).done
+        assert kept + 2 <= again < BLOCKS
+        kept = again
     done = subprocess.run(
-        [FIC_SWEEP, "resume", "many.zarr", "--dask", "local:2"],
+        [FIC_SWEEP, "resume", "many.zarr", "--dask", "local:1"],
         capture_output=True, encoding="utf-8", check=True,
     )  # fmt: skip
-    assert done.stderr == ""
-    assert done.stdout.startswith(f"many.zarr: {BLOCKS - again} scenarios in ")
+    assert not [line for line in done.stderr.splitlines() if "dashboard" not in line]
+    assert done.stdout.startswith(f"many.zarr: {BLOCKS - kept} scenarios in ")
     assert typed("verify", "many.zarr").code == 0
-    subprocess.run(
-        [FIC_SWEEP, "run", "many.toml", "--chunk", "1", "--out", "one.zarr"],
-        capture_output=True, check=True,
-    )  # fmt: skip
-    rows = [
-        [row.files for row in open_store(folder / name).rows()]
-        for name in ("many.zarr", "one.zarr")
-    ]
+    rows = [[row.files for row in open_store(store).rows()] for store in (path, whole)]
     assert rows[0] == rows[1]
     with xr.open_zarr(path) as data:
         assert (data["status"] == 1).all()

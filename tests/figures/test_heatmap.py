@@ -281,7 +281,7 @@ def test_panels_of_different_metrics_are_refused(atlas):
     ("request_", "message"),
     [
         ({"metric": "nsme"}, "no metric 'nsme'. Did you mean 'nmse'.*There are: nmse, conv"),
-        ({"metric": "status"}, "no metric 'status'"),
+        ({"metric": "status"}, "'status' is no metric"),
         ({"at": {"Fmax": 5}}, "'Fmax' does not vary here: it is 15 N[*]m. There are: Td, K0"),
         ({"x": "contact"}, "'contact' does not vary here: it is hard_stop. There are: Td, K0"),
         ({"x": "kenv"}, "no dimension 'kenv'. Did you mean 'Kenv'.*There are: Td, K0, Kenv"),

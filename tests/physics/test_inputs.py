@@ -65,7 +65,7 @@ WRONG = [
     (lambda: sweep({"K0": 1.0}, **RUN), "`batch` must be of type Params, such as Params(K0="),
     (lambda: sweep(pd.DataFrame({"K0": [1.0]}), **RUN), "but is of type DataFrame."),
     (lambda: sweep(None, **RUN), "`batch` must be of type Params"),
-    (lambda: sweep(Model(), **RUN), "but is of type Model."),
+    (lambda: sweep(Model(), **RUN), "but is Model()."),
     (lambda: evaluate(Params, **RUN), "`params` must be of type Params"),
     (lambda: evaluate({"K0": 1.0}, **RUN), "`params` must be of type Params"),
     (lambda: rollout(None, **RUN), "`params` must be of type Params"),

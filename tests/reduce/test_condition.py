@@ -58,3 +58,26 @@ def test_all_else_is_refused_in_one_line(text):
     with pytest.raises(ConditionError) as refused:
         names(text)
     assert str(refused.value).isprintable()
+
+
+@pytest.mark.parametrize(
+    ("text", "advice"),
+    [
+        ("a = 1", "`==`, not with `=`"),
+        ("a < 1 && b == 0", "`and`, not with `&&`"),
+        ("(a < 1) & (b == 0)", "`and`, not with `&`"),
+        ("a < 1 AND b == 0", "`and`, not with `AND`"),
+        ("a < 1 || b >= 0", "`or`, not with `||`"),
+        ("(a <= 1) | (b != 0)", "`or`, not with `|`"),
+        ("!(a < 1)", "`not`, not with `!`"),
+        ("~(a < 1)", "`not`, not with `~`"),
+        ("a <> 1", "`!=`, not with `<>`"),
+        ("a ≤ 1", "`<=`, not with `≤`"),
+        ("a ^ 2 < 1", "a product, as `nmse * nmse`, not with `^`"),
+        ("a ** 2 < 1", "a product, as `nmse * nmse`, not with `**`"),
+    ],
+)
+def test_what_other_languages_write_has_its_own_advice(text, advice):
+    with pytest.raises(ConditionError) as refused:
+        names(text)
+    assert str(refused.value) == f"written with {advice}"

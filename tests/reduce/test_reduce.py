@@ -197,7 +197,7 @@ def test_any_block_size_gives_the_same_bits(tmp_path, reduced):
 def test_a_store_reduced_after_its_run_has_the_bits_of_a_reduced_run(tmp_path, full, reduced):
     table = reduced.grid.sweep.reduce.model_dump(exclude_none=True)
     path = tmp_path / "after.zarr"
-    after = reduce_store(full, reduced_sweep(full, table), path, 7, lambda: None)
+    after = reduce_store(full, reduced_sweep(full, table), path, 7, lambda *_: None)
     assert bits(after.path) == bits(reduced.path)
     assert after.group.attrs["reduced_from"] == "full.zarr"
     assert "end" in open_store(path).group.attrs
@@ -208,7 +208,7 @@ def test_an_interrupted_reduction_is_resumed(tmp_path, full, reduced):
     assert runner.run(runner.reopen(path, 32), quiet).ran > 0
     assert bits(path) == bits(reduced.path)
 
-    def stop():
+    def stop(*_):
         raise KeyboardInterrupt
 
     table = reduced.grid.sweep.reduce.model_dump(exclude_none=True)
@@ -348,6 +348,9 @@ def test_a_random_design_and_choices_are_reduced_by_name(tmp_path):
     at = data["nmse_max_scenario"].astype(int)
     law = data["best_law"].astype(int) - 1
     np.testing.assert_array_equal(cells["nmse"].isel(scenario=at, law=law), data["nmse_max"])
+    for name in ("Td", "K0"):
+        np.testing.assert_array_equal(data[f"nmse_max_{name}"], cells[name].values[at])
+        assert data[f"nmse_max_{name}"].dtype == np.float64
 
 
 # --- what was not run ----------------------------------------------------------------------------
@@ -357,7 +360,7 @@ def test_what_a_store_lacks_is_counted_and_refused(tmp_path):
     store = stopped(tmp_path / "half.zarr", parse(FULL, "full.toml"), 20, 100)
     table = {"over": ["sigma", "Kenv"], "max": ["contact_time"]}
     sweep = reduced_sweep(store, table)
-    data = dataset(reduce_store(store, sweep, tmp_path / "r.zarr", None, lambda: None).path)
+    data = dataset(reduce_store(store, sweep, tmp_path / "r.zarr", None, lambda *_: None).path)
     cells = dataset(store.path)
     absent = (cells["status"].fillna(0) == NOT_RUN).mean(["sigma", "Kenv"])
     assert 0 < float(absent.mean()) < 1
@@ -370,7 +373,7 @@ def test_a_store_without_a_block_is_refused(tmp_path):
     store = runner.start(tmp_path / "none.zarr", parse(FULL, "full.toml"), 20, 32)
     sweep = reduced_sweep(store, {"over": ["sigma"], "max": ["nmse"]})
     with pytest.raises(SweepError, match="no finished block, so there is nothing to reduce"):
-        reduce_store(store, sweep, tmp_path / "r.zarr", None, lambda: None)
+        reduce_store(store, sweep, tmp_path / "r.zarr", None, lambda *_: None)
     assert not (tmp_path / "r.zarr").exists()
 
 
@@ -383,7 +386,7 @@ def test_a_damaged_block_is_not_reduced(tmp_path, full):
     store = open_store(copy)
     sweep = reduced_sweep(store, {"over": ["Td"], "max": ["nmse"]})
     with pytest.raises(SweepError, match="is not as it was written; `fic-sweep verify"):
-        reduce_store(store, sweep, tmp_path / "r.zarr", None, lambda: None)
+        reduce_store(store, sweep, tmp_path / "r.zarr", None, lambda *_: None)
 
 
 def test_a_reduced_store_says_what_it_is(reduced):
@@ -412,7 +415,7 @@ def test_a_picture_hatches_what_is_refused_and_says_what_varied(reduced):
         )
     assert plane.special
     assert "over 5 values of $D_{env}$ = 1 to 1000 N·m·s/rad" in plane.held
-    with pytest.raises(PlotError, match="There is no metric 'nmse_status'"):
+    with pytest.raises(PlotError, match="'nmse_status' is no metric: a picture"):
         planes.select(data, x="K0", y="Kenv", metric="nmse_status")
 
 

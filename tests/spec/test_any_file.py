@@ -106,6 +106,19 @@ by = "peak_torque"
 untrusted = 0.1
 """,
     """
+name = "refined"
+[axes]
+K0 = { log = [1.0, 300.0], n = 5 }
+Td = [1.0, 5.0]
+[refine]
+levels = 3
+axes = ["K0"]
+budget = 50
+classes = ["nmse < 0.01", "convergence_time < inf"]
+absolute = { overshoot = 0.1 }
+relative = { peak_torque = 0.5 }
+""",
+    """
 name = "drawn"
 [sample]
 n = 1000

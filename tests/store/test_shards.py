@@ -2,6 +2,7 @@
 
 import errno
 import json
+import math
 import os
 import random
 import shutil
@@ -13,6 +14,7 @@ import pytest
 from sweeps import merge as merging
 from sweeps import runner
 from sweeps.merge import merge
+from sweeps.plan import shard
 from sweeps.plan.grid import Grid, cells_of
 from sweeps.plan.shard import Shard
 from sweeps.spec.mistakes import SweepError
@@ -57,7 +59,38 @@ def test_shards_have_each_block_once(n):
     assert sorted(i for grid in grids for i in grid.own) == list(range(99))
     for grid in grids:
         assert grid.own_cells == sum(cells_of(grid.block(index)) for index in grid.own)
+        assert [i for i in range(-1, 101) if grid.owns(i)] == list(grid.own)
     assert max(len(g.own) for g in grids) - min(len(g.own) for g in grids) <= 1
+
+
+def test_the_blocks_of_a_shard_are_those_of_any_version():
+    """Parts of a sweep may be made months apart. Another rule needs another `shard.RULE`."""
+    assert shard.RULE == "golden"
+    blocks = [0, 6, 8, 15, 17, 20, 26, 29, 35]
+    assert Shard(1, 4).blocks(37) == blocks
+
+
+@pytest.mark.parametrize("counts", [(12, 8), (7, 8, 5), (5, 16), (40, 40), (9, 10, 10), (30, 9)])
+def test_shards_of_a_sweep_cost_about_the_same(counts):
+    """Along an axis a scenario costs up to 10 times as much, and N divides its last axis."""
+    n_blocks, last = math.prod(counts), counts[-1]
+    for n in (n for n in range(2, last + 1) if last % n == 0):
+        for along, length in zip(np.indices(counts).reshape(len(counts), -1), counts, strict=True):
+            cost = 10 ** (along / length)
+            each = [cost[Shard(k, n).blocks(n_blocks)].sum() for k in range(1, n + 1)]
+            # a block more or less; with every N-th block it is up to 2 times the mean
+            assert max(each) - min(each) <= cost.max() + 0.1 * np.mean(each)
+
+
+def test_a_part_that_was_divided_in_another_way_is_refused(stores, quick):
+    with stores.case() as path:
+        parts = parts_of(path, 2)
+        for value in ("other", None):
+            change_attributes(parts[0], shard_rule=value)
+            line = "is shard 1/2 of another version of fic-sweep, which divides the blocks in"
+            refused(parts, path, line)
+            with pytest.raises(SweepError, match=line):
+                part_of(path, "1/2")
 
 
 @pytest.mark.parametrize(
@@ -132,7 +165,7 @@ def test_the_merged_store_says_what_made_it(stores, quick, monkeypatch):
         assert [part["shard"] for part in said] == ["1/2", "2/2"]
         assert attributes["start"] == min(part["start"] for part in said)
         assert attributes["end"] == max(part["end"] for part in said)
-        assert "shard" not in attributes
+        assert not {"shard", "shard_rule"} & attributes.keys()
 
 
 @pytest.mark.parametrize("links", [True, False])
@@ -180,9 +213,10 @@ def test_a_merge_without_some_blocks_is_resumed(stores, quick, monkeypatch):
         part_of(path, "3/3")  # sets its block aside
         monkeypatch.undo()
         line = (
-            r"tiny.zarr: of 3 shards, 2 is missing \(`fic-sweep run .*tiny.1-of-3.zarr --shard 2/3 "
-            r"--chunk 2 --device cpu --out .*tiny.zarr` runs 2\), and 3 is unfinished "
-            r"\(`fic-sweep resume .*tiny.3-of-3.zarr` goes on with 3\); --incomplete merges what"
+            r"tiny.zarr: of 3 shards, 2 is missing \(`fic-sweep run .*tiny.1-of-3.zarr "
+            r"--shard 2/3 --chunk 2 --precision 32 --device cpu --out .*tiny.zarr` runs 2\), "
+            r"and 3 is unfinished \(`fic-sweep resume .*tiny.3-of-3.zarr` goes on with 3\); "
+            r"--incomplete merges what"
         )
         refused([parts[0], parts[2]], path, line)
         counts = Counts.of(merge([parts[2], parts[0]], incomplete=True))
@@ -382,7 +416,7 @@ def test_a_command_of_a_job_array_is_repeated(stores, quick):
             ({"plan": MANY}, "begun with another sweep; --out names another"),
             ({"chunk": 1}, "begun with another --chunk; "),
             ({"shard": Shard(2, 2)}, "begun with another --shard; "),
-            ({"precision": 64}, "begun by another program .dtype was float32, is float64"),
+            ({"precision": 64}, "begun with another --precision; "),
         ):
             arguments = {"plan": WHOLE, "chunk": 2, "precision": 32, "shard": Shard(1, 2)} | change
             with pytest.raises(SweepError, match=line):

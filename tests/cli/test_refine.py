@@ -1,0 +1,172 @@
+"""`[refine]` on the command line, and what one can get wrong about it."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import xarray as xr
+
+from tests.command import typed
+
+PAGE = Path(__file__).parents[2] / "docs" / "refine.md"
+BEGIN = """
+name = "border"
+[time]
+t_end = 1.0
+[axes]
+K0 = { log = [10.0, 150.0], n = 5 }
+Td = { lin = [1.0, 9.0], n = 5 }
+gap = [0.0, 0.1]
+"""
+TABLE = '[refine]\nlevels = 2\nclasses = ["nmse < 0.3"]\n'
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "border.toml").write_text(BEGIN + TABLE)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("ran")
+    (folder / "border.toml").write_text(BEGIN + TABLE)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        ended = typed("run", "border.toml")
+    assert (ended.code, ended.stderr) == (0, "")
+    return folder, ended.stdout
+
+
+def test_a_dry_run_names_both_grids_and_the_most_scenarios(folder):
+    printed = typed("run", "border.toml", "--dry-run").stdout
+    assert "K0 17 x Td 17 x gap 2 = 578 cells of 100 steps\n" in printed
+    begin = "refined from K0 5 x Td 5 x gap 2 = 50 scenarios: K0, Td halved up to 2 times\n"
+    assert begin in printed
+    assert "at most 578 scenarios (all cells; `refine.budget` allows fewer)\n" in printed
+    assert re.search("^at most .* measured just now$", printed, re.MULTILINE)
+    few = typed("run", "border.toml", "--dry-run", "--set", "budget=100", "--set", "axes=['K0']")
+    assert "K0 17 x Td 5 x gap 2 = 170 cells" in few.stdout
+    assert "at most 100 scenarios (the budget)\n" in few.stdout
+    assert not list(folder.glob("*.zarr"))
+
+
+def test_each_command_says_what_was_simulated(ran, monkeypatch):
+    folder, printed = ran
+    monkeypatch.chdir(folder)
+    status = np.nan_to_num(xr.open_zarr("border.zarr").status.values)
+    n = int((status == 1).sum())
+    assert 50 < n < 500
+    assert f"border.zarr: {n} scenarios in " in printed
+    assert f"refined   {n} of 578 cells simulated" in printed
+    assert f"{578 - n} have the values of a simulated cell beside them" in printed
+    said = typed("status", "border.zarr").stdout
+    assert f"simulated {n} of 578 cells" in said
+    assert re.search(rf"nearby +{578 - n}\n", said) and re.search(r"not run +0\n", said)
+    assert f"complete already, {n} scenarios" in typed("resume", "border.zarr").stdout
+    assert "all as written" in typed("verify", "border.zarr").stdout
+    exported = typed("export", "border.zarr", "--to", "csv").stdout
+    assert f"border.csv-metadata.json, 578 cells, {n} of them simulated" in exported
+    table = pd.read_csv("border.csv")
+    assert table["status"].value_counts().to_dict() == {"ok": n, "ok_nearby": 578 - n}
+    assert set(table["level"]) == {0, 1, 2}
+    for to in ("parquet", "netcdf"):
+        assert typed("export", "border.zarr", "--to", to).code == 0
+    with xr.open_dataset("border.nc") as copy:
+        np.testing.assert_array_equal(copy.level, xr.open_zarr("border.zarr").level)
+    for metric in ("nmse", "level"):
+        plotted = typed("plot", "border.zarr", "--x", "K0", "--y", "Td", "--metric", metric)
+        assert plotted.code == 0, plotted.stderr
+    assert typed("run", "border.zarr", "--dry-run", "--out", "b.zarr").code == 0
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ("levels = 2\naxes = ['Denv']", "`refine.axes` must name axes, but has `Denv`"),
+        ("levels = 2\naxes = ['gap']", "`refine.axes` must name ranges .* `gap` is a list"),
+        ("levels = 2\naxes = ['K0', 'K0']", "`refine.axes` must be different from each other"),
+        ("levels = 2\naxes = []", "`refine.axes` must be at least 1 values long|not empty"),
+        ("levels = 2\nabsolute = { speed = 1.0 }", "name metrics of the sweep, but has `speed`"),
+        ("levels = 2\nabsolute = { nmse = -1.0 }", "`refine.absolute.nmse` must be greater than 0"),
+        ("levels = 2\nrelative = { nmse = 0 }", "`refine.relative.nmse` must be greater than 0"),
+        ("levels = 2\nrelative = { nmse = nan }", "`refine.relative.nmse` must be a finite number"),
+        (
+            "levels = 2\nrelative = { nmse = 1 }\nabsolute = { nmse = 1 }",
+            "one tolerance of `nmse`, but has two",
+        ),
+        ("levels = 2\nclasses = ['K0 < 3']", "names of metrics alone, but has `K0`"),
+        ("levels = 2\nclasses = ['nmse <']", "`refine.classes` must be a condition"),
+        ("levels = 2\nclasses = ['1 < inf']", "`refine.classes` must name a metric"),
+        ("levels = 2\nclasses = []", "must name classes or a metric"),
+        ("levels = 2\nbudget = 49", "`refine.budget` must be at least 50, .* is 49"),
+        ("levels = 0", "`refine.levels` must be greater than or equal to 1"),
+        ("levels = 20", "`refine.levels` must make at most 100,000,000 cells"),
+        ("levels = 10", "`refine.budget` must be at most 20,000,000, but none is given"),
+        ("levels = 1.5", "`refine.levels` must be a"),
+        ("levls = 2", "`refine.levels` must be given|did you mean `levels`"),
+        ("levels = 2\n[reduce]\nover = ['gap']\nmax = ['nmse']", "must be without `reduce`"),
+    ],
+)
+def test_a_wrong_table_is_one_line(folder, table, words):
+    (folder / "border.toml").write_text(f"{BEGIN}[refine]\n{table}\n")
+    ended = typed("run", "border.toml")
+    assert ended.code == 2 and not ended.stdout
+    assert re.search(words, ended.stderr), ended.stderr
+    assert all(line.startswith("fic-sweep: border.toml: ") for line in ended.stderr.splitlines())
+    assert not list(folder.glob("*.zarr"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("run", "border.toml", "--shard", "1/2"), "which no shard knows of the others"),
+        (("run", "border.toml", "--dask", "local:2"), "one process does; run it without a cluster"),
+        (("run", "drawn.toml"), "`refine` must be without `sample`, but both are given."),
+        (("run", "few.toml"), "has `convergence_time` .the default.; `metrics` lacks it"),
+        (("run", "even.toml"), "`axes.period` must be a whole multiple of dt"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(folder, arguments, words):
+    refine = "[refine]\nlevels = 2\n"
+    sample = "[sample]\nn = 8\nranges = { K0 = { log = [1.0, 9.0] } }\n"
+    (folder / "drawn.toml").write_text(f'name = "drawn"\n{sample}{refine}')
+    (folder / "few.toml").write_text('metrics = ["nmse"]\n' + BEGIN + refine)
+    period = "period = { lin = [0.01, 0.05], n = 5 }\n"
+    (folder / "even.toml").write_text(f'name = "even"\n[axes]\n{period}{refine}')
+    ended = typed(*arguments)
+    assert ended.code == 2 and re.search(words, ended.stderr), ended.stderr
+    assert not list(folder.glob("*.zarr"))
+
+
+def test_a_refined_store_is_neither_reduced_nor_extended(ran, monkeypatch):
+    monkeypatch.chdir(ran[0])
+    reduced = typed("reduce", "border.zarr", "--over", "K0", "--max", "nmse")
+    assert reduced.code == 2 and "most of its cells were not simulated" in reduced.stderr
+    (ran[0] / "plain.toml").write_text(BEGIN)
+    for table in ("", TABLE):
+        (ran[0] / "more.toml").write_text(BEGIN + table)
+        more = typed("resume", "border.zarr", "--extend", "more.toml")
+        assert more.code == 2 and "a refined sweep can't be extended" in more.stderr
+    assert typed("resume", "border.zarr", "--dask", "local:2").code == 2
+
+
+def test_the_page_runs(tmp_path, monkeypatch):
+    """The file and the code of docs/refine.md, on a smaller grid."""
+    monkeypatch.chdir(tmp_path)
+    page = PAGE.read_text()
+    (file,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    file = file.replace("n = 33", "n = 9").replace("levels = 5", "levels = 3")
+    (tmp_path / "border.toml").write_text(file)
+    plain = file.partition("[refine]")[0].replace("n = 9", "n = 65")
+    (tmp_path / "full.toml").write_text(plain)
+    assert typed("run", "border.toml").code == 0
+    assert typed("run", "full.toml", "--out", "full.zarr").code == 0
+    known = {}
+    for code in re.findall(r"```python\n(.*?)```", page, re.DOTALL):
+        exec(code, known)
+    assert known["missed"] == 0
+    assert len(known["table"]) == (known["data"].status == 1).sum() > 81
