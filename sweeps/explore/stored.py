@@ -35,13 +35,16 @@ from sweeps.spec.mistakes import SweepError, command
 from sweeps.spec.types import Reduction, Sweep
 from sweeps.store.format import (
     DIVERGED,
+    DIVERGED_NEAR,
     ERRORS,
     FAILED,
     FLAGS,
     JUDGEMENTS,
+    LEVEL,
     NOT_RUN,
     NOT_TRUSTED,
     OK,
+    OK_NEAR,
     OLD_JUDGEMENTS,
     UNTRUSTED,
 )
@@ -142,7 +145,7 @@ class Stored:
         metrics = tuple(
             name
             for name in self.store.variables
-            if name not in FLAGS and "flag_values" not in self.store.array(name).attrs
+            if name not in (*FLAGS, LEVEL) and "flag_values" not in self.store.array(name).attrs
         )
         return Space(metrics, numbers, words, dims, reducible, live=False)
 
@@ -215,6 +218,8 @@ class Stored:
         values = self._cells(view.metric, view)
         own = str(array.attrs.get("ancillary_variables", ""))
         status = self._cells("status", view)
+        for code, meant in ((OK_NEAR, OK), (DIVERGED_NEAR, DIVERGED)):  # of a refined store
+            status = np.where(status == code, np.uint8(meant), status)
         if own:
             status = np.where(status == OK, self._cells(own, view), status)
         flag = self._flag(view.metric)
