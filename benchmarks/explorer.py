@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 REPEATS = 15
+BLOCK = 50_000  # cells, as the library's atlas has, whose cells take a thousand steps
 WAIT = 60_000  # ms
 # 10.1 million cells, of one step each: only their number matters here
 STORE = """
@@ -183,7 +184,7 @@ def make_store(folder: Path) -> Path:
 
     path = folder / "ten-million.zarr"
     runner.configure(32, "cpu")
-    runner.run(runner.start(path, parse(STORE, "sweep"), None, 32), lambda _: None)
+    runner.run(runner.start(path, parse(STORE, "sweep"), BLOCK, 32), lambda _: None)
     return path
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fic_jax import QUANTITIES
 from figures import reduction, style
+from sweeps import maps
 from sweeps.maps import edges_of
 from sweeps.spec.digits import LEAST, digits
 from sweeps.store.format import (
@@ -32,7 +33,6 @@ from sweeps.store.format import (
 )
 from sweeps.store.reduced import NONE
 
-UNEVEN = 20  # mean over least step, beyond which each value gets the same width
 MOST_COMPARED = 100_000  # values of a dimension; the digits of more are not compared
 Wanted = Mapping[str, float | str]  # dimension -> the value at which it is fixed
 
@@ -298,27 +298,5 @@ def symbol(coordinate: xr.DataArray) -> str:
 
 
 def scale_of(coordinate: xr.DataArray) -> str:
-    """The scale on which the values are most evenly spaced; "category" if they are no grid."""
-    values = coordinate.values
-    parameter = values.dtype.kind == "f" or (
-        values.dtype.kind in "iu" and coordinate.name in style.SYMBOLS
-    )
-    if not parameter or len(np.unique(values)) < max(2, len(values)):
-        return "category"
-    ordered = np.sort(values.astype(float))
-    positive = ordered[ordered > 0]
-    wide = len(positive) > 1 and positive[-1] > 10**1.5 * positive[0]
-    if len(positive) < len(ordered):
-        # a log axis has no zero, and a linear axis would leave no room for the small decades
-        return "category" if wide else _drawable("linear", np.diff(ordered))
-    # within a factor of two both scales look alike, and a log axis has no tick
-    steps, ratios = np.diff(ordered), np.diff(np.log(ordered))
-    uneven = np.std(steps) / np.mean(steps) > np.std(ratios) / np.mean(ratios)
-    decided = wide or len(ordered) < 3 or ordered[-1] < 2 * ordered[0]
-    log = wide if decided else uneven
-    return _drawable("log" if log else "linear", ratios if log else steps)
-
-
-def _drawable(scale: str, steps: NDArray[np.float64]) -> str:
-    """The scale, or "category" if a value would have no width beside its neighbours."""
-    return "category" if np.mean(steps) > UNEVEN * np.min(steps) else scale
+    """The scale on which a dimension is drawn (`sweeps.maps.scale_of`)."""
+    return maps.scale_of(coordinate.values, str(coordinate.name))

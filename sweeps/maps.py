@@ -45,6 +45,7 @@ SIGNED_METRICS = ("steady_error",)
 MAX_DECADES = 8  # of colours: further below, nmse is rounding in float32
 # Where a reader looks for a border: a root mean square error of a tenth of the desired torque.
 LEVELS = {"nmse": 0.01, "nmse_tail": 0.01}
+UNEVEN = 20  # mean over least step, beyond which each value gets the same width
 SEQUENTIAL = "viridis"
 # Of a signed metric. Luminance rises from end to end, so that a grey print shows the sign.
 # Colour-blind readers can tell blue from orange. Only zero is grey.
@@ -82,6 +83,30 @@ def limits(
         low, high = low - 0.1 * (abs(low) or 1.0), high + 0.1 * (abs(high) or 1.0)
         low = 0.0 if metric in ERRORS else low  # an error is not negative
     return low, high, False
+
+
+def scale_of(values: NDArray[Any], name: str) -> str:
+    """The scale on which the values are most evenly spaced; "category" if they are no grid."""
+    parameter = values.dtype.kind == "f" or (values.dtype.kind in "iu" and name in SYMBOLS)
+    if not parameter or len(np.unique(values)) < max(2, len(values)):
+        return "category"
+    ordered = np.sort(values.astype(float))
+    positive = ordered[ordered > 0]
+    wide = len(positive) > 1 and positive[-1] > 10**1.5 * positive[0]
+    if len(positive) < len(ordered):
+        # a log axis has no zero, and a linear axis would leave no room for the small decades
+        return "category" if wide else _drawable("linear", np.diff(ordered))
+    # within a factor of two both scales look alike, and a log axis has no tick
+    steps, ratios = np.diff(ordered), np.diff(np.log(ordered))
+    uneven = np.std(steps) / np.mean(steps) > np.std(ratios) / np.mean(ratios)
+    decided = wide or len(ordered) < 3 or ordered[-1] < 2 * ordered[0]
+    log = wide if decided else uneven
+    return _drawable("log" if log else "linear", ratios if log else steps)
+
+
+def _drawable(scale: str, steps: NDArray[np.float64]) -> str:
+    """The scale, or "category" if a value would have no width beside its neighbours."""
+    return "category" if np.mean(steps) > UNEVEN * np.min(steps) else scale
 
 
 def edges_of(values: NDArray[Any], scale: str) -> NDArray[np.float64]:

@@ -237,7 +237,9 @@ class Page:
         self.figure.show(found, self.view.colours or (0.0, 1.0))
         self._mark()
         n = self.said["maps"] + 1
-        self._say(legend=legend(found), title=_title(found), notice="", fine=found.fine, maps=n)
+        now = replace(found.view, **{k: getattr(self.view, k) for k in ("colours", "cell", "pins")})
+        fine = found.fine and now == self.view  # not while a newer view is on its way
+        self._say(legend=legend(found), title=_title(found), notice="", fine=fine, maps=n)
 
     def _mark(self) -> None:
         """Mark the selected cell and the pins that lie on the map."""

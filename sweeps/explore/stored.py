@@ -6,14 +6,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from fic_jax import CHOICES, QUANTITIES
-from figures.cut import scale_of
 from sweeps import maps
 from sweeps.explore import texts
 from sweeps.explore.cells import (
@@ -37,17 +35,23 @@ from sweeps.spec.mistakes import SweepError, command
 from sweeps.spec.types import Reduction, Sweep
 from sweeps.store.format import (
     DIVERGED,
+    DIVERGED_NEAR,
     ERRORS,
     FAILED,
     FLAGS,
     JUDGEMENTS,
+    LEVEL,
     NOT_RUN,
     NOT_TRUSTED,
     OK,
+    OK_NEAR,
     OLD_JUDGEMENTS,
     UNTRUSTED,
 )
 from sweeps.store.opening import open_store
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 MOST_HELD = 50_000_000  # values of a variable in memory: 200 MB in float32
 MOST_LISTED = 2_000  # values of a dimension that a slider has
@@ -127,7 +131,7 @@ class Stored:
         """Each dimension as the side of a map, its values ascending."""
         found = {}
         for dim, values in self.coordinates.items():
-            scale = scale_of(xr.DataArray(values, dims=[dim], name=dim))
+            scale = maps.scale_of(values, dim)
             ordered = np.sort(values) if scale != "category" else values
             found[dim] = Axis(dim, scale, ordered)
         return found
@@ -141,7 +145,7 @@ class Stored:
         metrics = tuple(
             name
             for name in self.store.variables
-            if name not in FLAGS and "flag_values" not in self.store.array(name).attrs
+            if name not in (*FLAGS, LEVEL) and "flag_values" not in self.store.array(name).attrs
         )
         return Space(metrics, numbers, words, dims, reducible, live=False)
 
@@ -214,6 +218,8 @@ class Stored:
         values = self._cells(view.metric, view)
         own = str(array.attrs.get("ancillary_variables", ""))
         status = self._cells("status", view)
+        for code, meant in ((OK_NEAR, OK), (DIVERGED_NEAR, DIVERGED)):  # of a refined store
+            status = np.where(status == code, np.uint8(meant), status)
         if own:
             status = np.where(status == OK, self._cells(own, view), status)
         flag = self._flag(view.metric)
@@ -419,7 +425,7 @@ class Stored:
         at = {dim: self._position(dim, self.coordinates[dim], view.at[dim]) for dim in rest}
         return texts.python_of_store(self.path, view, at, self.level(view))
 
-    def dataset(self, view: View) -> xr.Dataset:
+    def dataset(self, view: View) -> "xr.Dataset":
         """A view's cells with their flags, as a part of the store or reduced."""
         from sweeps.store.opening import dataset
 
