@@ -22,7 +22,7 @@ LINEAR_METRICS = ("convergence_time", "contact_time")
 SIGNED_METRICS = ("steady_error",)
 MAX_DECADES = 8  # of colours: further below, nmse is rounding in float32
 # Where a reader looks for a border: a root mean square error of a tenth of the desired torque.
-LEVELS = {"nmse": 0.01, "nmse_tail": 0.01}
+LEVELS = {"nmse": 0.01, "nmse_tail": 0.01, "contact_lost": 0.0}
 
 
 def pool(parts: Sequence[Cells]) -> NDArray[np.float64]:
