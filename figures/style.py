@@ -66,6 +66,7 @@ def look() -> Iterator[None]:
 
 
 SYMBOLS = {
+    "xd_error": r"$x_d$ − gap",
     "K0": r"$K_0$",
     "Fmax": r"$F_{Max}$",
     "x0": r"$\tilde{x}_0$",
