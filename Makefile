@@ -4,17 +4,20 @@
 # make coverage how much of the store, the ledger and the planner the tests run
 # make picture remake the README's picture
 # make figures the paper's figures, and those of a report that has run, under results/figures/
+# make atlas   run the library's atlases and draw the gallery; stores, PNG and SVG under results/atlas/
+# make gallery the same, and remake docs/gallery.md with its pictures
 # make gpu     measure everything on an NVIDIA card, with the packages that are there: tables under results/gpu/
 #              make gpu GPU="--only rates --limit 600"; python -m benchmarks.gpu --help lists the options
 # make clean   remove the results, as after a change of the program; make distclean the environment too
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-# run or resume the sweeps $(1)
+# run or resume the sweeps $(1) in the folder $(2)
 run = for name in $(1); do \
-	  if [ -e results/$$name.zarr ]; then $(BIN)/fic-sweep resume results/$$name.zarr; \
-	  else $(BIN)/fic-sweep run $$name --out results/$$name.zarr; fi || exit $$?; \
+	  if [ -e $(2)/$$name.zarr ]; then $(BIN)/fic-sweep resume $(2)/$$name.zarr; \
+	  else $(BIN)/fic-sweep run $$name --out $(2)/$$name.zarr; fi || exit $$?; \
 	done
+ATLASES := atlas $(addprefix atlas-,period expected impact lost best usual settled errors)
 
 # every branch of what a sweep's numbers hang on; of the rest all but a few
 WHOLE := $(addprefix store/,fsync lock ledger opening commit) plan/grid
@@ -23,11 +26,11 @@ STORE_TESTS := tests/store tests/test_runner.py tests/spec tests/plan
 modules = $(subst $() ,$(comma),$(patsubst %,sweeps/%.py,$(1)))
 comma := ,
 
-.PHONY: sweep test lint torture coverage picture figures gpu clean distclean
+.PHONY: sweep test lint torture coverage picture figures atlas gallery gpu clean distclean
 
 sweep: $(VENV)/installed
 	@mkdir -p results
-	@$(call run,paper-welded paper-contact period-map atlas-small)
+	@$(call run,paper-welded paper-contact period-map atlas-small,results)
 	@echo "drawing ..."
 	@$(BIN)/python -m figures.overview results
 	@ls results/*.png
@@ -59,6 +62,16 @@ figures: $(VENV)/installed
 	@# the findings beyond the paper, from the data that fic-sweep report has written
 	@$(BIN)/python -m figures.findings
 	@ls results/figures/*.png
+
+atlas: $(VENV)/installed
+	@mkdir -p results/atlas
+	@$(call run,$(ATLASES),results/atlas)
+	@echo "drawing ..."
+	@$(BIN)/python -m figures.atlas results/atlas
+	@ls results/atlas/*.png
+
+gallery: atlas
+	@$(BIN)/python -m figures.atlas results/atlas --docs docs
 
 # no installation and no network: the machine with the card may have neither
 gpu:

@@ -131,7 +131,9 @@ def special_entries(parts: Sequence[Of]) -> dict[str, Handle]:
 
 def special_text(key: str, parts: Sequence[Of]) -> str:
     """Why cells have no value, with their share of each panel."""
-    words = {"not run": "not run yet", "infinite": INFINITE.get(parts[0].metric, "infinite")}
+    metric = next((part.metric for part in parts if key in part.special), "")
+    words = {"not run": "not run yet", "infinite": INFINITE.get(metric, "infinite")}
+    words["not trusted"] = "no value: too many scenarios are not trusted"
     cells = [part.special.get(key, np.zeros(1, bool)) for part in parts]
     return f"{words.get(key, key)} ({_shares(cells)})"
 

@@ -98,7 +98,8 @@ def grid(
                 grid_row[0].set_ylabel("\n".join(t for t in (text, grid_row[0].get_ylabel()) if t))
             if pool.size:
                 beside_bar = [ax for grid_row, *_ in group for ax in grid_row]
-                colours.bar(fig, mesh, beside_bar, group[0][1][0][1], pool)
+                part, length = group[0][1][0][1], 72 * row_height * len(group)
+                colours.bar(fig, mesh, beside_bar, part, pool, length)
         fig.suptitle(head)
         hatch.legend(fig, entries, in_legend, held, len(planes))
     return fig

@@ -12,11 +12,12 @@ from sweeps.store.format import OK
 SWEEPS = ("atlas-best", "atlas-usual")
 TITLE = "The best sigma, and the cost of 0.01"
 ALT = "Maps over Kenv and K0: best sigma, its worst error, and how much larger that of 0.01 is"
+CONTACTS = ("welded", "hard_stop")
 STIFF = 100.0  # N*m/rad, from here on most worst cases are trusted
 ROWS = {
     "best_sigma": r"best $\sigma$",
     "nmse_at_best": "worst nmse with it",
-    "cost": "that of 0.01, as a\nmultiple of it",
+    "cost": "that of 0.01 over it",
 }
 
 
@@ -39,7 +40,7 @@ def plot(best: xr.Dataset, usual: xr.Dataset) -> Figure:
     """Best sigma, its worst nmse and the cost of 0.01, each welded beside hard stop."""
     data = with_cost(best, usual)
     rows = [
-        [select(data, x="Kenv", y="K0", metric=m, at={"contact": c}) for c in ("welded", "hard_stop")]
+        [select(data, x="Kenv", y="K0", metric=m, at={"contact": c}) for c in CONTACTS]
         for m in ROWS
     ]
     drawn = [[("", plane) for plane in row] for row in rows]

@@ -19,7 +19,9 @@ def plot(data: xr.Dataset) -> Figure:
     """Convergence time over sigma and period, in rows of the contact and columns of K0."""
     rows = [
         [
-            select(data, x="sigma", y="period", metric="convergence_time", at={"contact": c, "K0": K})
+            select(
+                data, x="sigma", y="period", metric="convergence_time", at={"contact": c, "K0": K}
+            )
             for K in data["K0"].values
         ]
         for c in data["contact"].values

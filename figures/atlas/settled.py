@@ -1,7 +1,9 @@
 """The share of environments in which a controller settles, over its stiffness and its sigma."""
 
+import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from figures import heatmap
 from figures.atlas.numbers import percent
@@ -15,9 +17,9 @@ STIFFNESSES = (100.0, 316.0, 1000.0)  # N*m/rad, of the first sentence, to the n
 LINE = r"$K_0 \tilde{x}_0 = T_d$"
 
 
-def at_x0(plane: Plane):  # type: ignore[no-untyped-def]
+def at_x0(plane: Plane) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Sigma and the stiffness whose first reference Td/K0 is x0."""
-    return plane.x.edges[[0, -1]], 2 * [float(plane.cut["Td"]) / X0]
+    return plane.x.edges[[0, -1]], np.full(2, float(plane.cut["Td"]) / X0)
 
 
 def plot(data: xr.Dataset) -> Figure:
