@@ -83,19 +83,20 @@ def grid(
         for _, alike in itertools.groupby(drawn, key=lambda row: row[1][0][1].metric):
             group = list(alike)
             pool = colours.pool([plane for _, row, *_ in group for _, plane in row])
-            for grid_row, row, texts, text in group:
+            for grid_row, row, texts, side in group:
                 for ax, (_, plane), title in zip(grid_row, row, texts, strict=True):
                     mesh = _panel(ax, plane, pool, room)
                     ax.set_title(title)
-                    for line in (lines or {}).values():
-                        ax.plot(*line(plane), **GUIDE)
+                    for guide in (lines or {}).values():
+                        ax.plot(*guide(plane), **GUIDE)
                     if shared and ax is not grid_row[0]:
                         ax.set_ylabel("")
                         ax.tick_params(labelleft=False)
                     if ax not in axes[-1] and _same(plane.x, planes[0].x):
                         ax.set_xlabel("")
                         ax.tick_params(labelbottom=False)
-                grid_row[0].set_ylabel("\n".join(t for t in (text, grid_row[0].get_ylabel()) if t))
+                words = [style.fold(side, 72 * row_height - 30), grid_row[0].get_ylabel()]
+                grid_row[0].set_ylabel("\n".join(text for text in words if text))
             if pool.size:
                 beside_bar = [ax for grid_row, *_ in group for ax in grid_row]
                 part, length = group[0][1][0][1], 72 * row_height * len(group)

@@ -8,7 +8,7 @@ from figures.atlas.numbers import converged, percent
 
 SWEEPS = nmse.SWEEPS
 TITLE = "Convergence time over stiffnesses, damping and torque"
-ALT = "Sixteen maps of the convergence time over Kenv and K0, by torque and damping"
+ALT = "Sixteen maps of the convergence time over Kenv and K0, as before, at sigma = 0.01"
 X0 = 0.10  # rad, of the sweep
 
 

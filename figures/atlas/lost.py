@@ -36,8 +36,8 @@ def finding(data: xr.Dataset) -> str:
     stiff = ", ".join(f"{K:g}" for K in data["K0"].values)
     damping = ", ".join(f"{needed(data, K):.0f}" for K in STIFF)
     return (
-        f"That contact is never lost, as the paper says of its three environments, holds in "
-        f"{', '.join(share)} of the environments at K0 = {stiff} N·m/rad. "
+        f"That contact is never lost, as the paper says of its three environments, is known to "
+        f"hold in {', '.join(share)} of the environments at K0 = {stiff} N·m/rad. "
         f"The stiffer the environment, the more damping this takes: at K0 = {K0:g} it is "
         f"{damping} N·m·s/rad for Kenv = {', '.join(f'{K:g}' for K in STIFF)} N·m/rad."
     )

@@ -9,7 +9,7 @@ from figures.planes import select
 
 SWEEPS = ("atlas",)
 TITLE = "Error over stiffnesses, damping and torque"
-ALT = "Sixteen maps of the mean square torque error over Kenv and K0, by torque and damping"
+ALT = "Sixteen maps of nmse over Kenv and K0, by torque and damping, at sigma = 0.01"
 TORQUES = (1.0, 5.0, 10.0, 20.0)  # N*m, rows; the last is beyond Fmax
 DAMPINGS = (1.0, 10.0, 100.0, 1000.0)  # N*m*s/rad, columns
 SIGMA = 0.01  # the paper's

@@ -14,7 +14,7 @@ def trusted_values(data: xr.Dataset, metric: str) -> xr.DataArray:
 
 def converged(data: xr.Dataset) -> xr.DataArray:
     """Whether the torque converges, and this is trusted."""
-    return np.isfinite(trusted_values(data, "convergence_time"))
+    return abs(trusted_values(data, "convergence_time")) < np.inf
 
 
 def percent(share: float) -> str:

@@ -9,10 +9,13 @@ from fic_jax import QUANTITIES
 
 HEAD = """# Gallery
 
-Maps far beyond the paper's grid. `make atlas` runs the sweeps (it resumes one that was interrupted and skips one that is complete) and
-draws the figures as PNG and SVG into results/atlas. `make gallery` also writes this page: its numbers are computed from the stores.
-A hatch over a colour marks a number that is not trusted ([which cells to trust](accuracy.md)). A cell without a number has no colour.
-Panels that are compared share their scale. The sweep files are in sweeps/library.
+Maps far beyond the paper's grid. `make atlas` runs the sweeps and draws the figures as PNG and SVG
+into results/atlas. It resumes a sweep that was interrupted and skips one that is complete.
+`make gallery` also writes this page: its numbers are computed from the stores.
+
+A hatch over a colour marks a number that is not trusted ([which cells to trust](accuracy.md)).
+A cell without a number has no colour, and the legend says why. Panels that are compared share
+their scale. The sweep files are in sweeps/library.
 """
 
 
@@ -28,7 +31,7 @@ def entry(name: str, title: str, alt: str, finding: str, data: Sequence[xr.Datas
         for one in data
     ]
     commands = "\n".join([*runs, f"python -m figures.atlas --only {name}"])
-    caption = " ".join(constants(one) for one in data)
+    caption = " ".join([f"{alt}.", *(constants(one) for one in data)])
     return (
         f"## {title}\n\n![{alt}](gallery/{name}.png)\n\n{finding}\n\n"
         f"*{caption}*\n\n```\n{commands}\n```\n"
