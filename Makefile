@@ -5,6 +5,8 @@
 # make docs    the documentation in HTML, under docs/_build/html
 # make picture remake the README's picture
 # make figures the paper's figures, and those of a report that has run, under results/figures/
+# make atlas   run the library's atlases and draw the gallery; stores, PNG and SVG under results/atlas/
+# make gallery the same, and remake docs/gallery.md with its pictures
 # make gpu     measure everything on an NVIDIA card, with the packages that are there: tables under results/gpu/
 #              make gpu GPU="--only rates --limit 600"; python -m benchmarks.gpu --help lists the options
 # make explore-speed  measure the explorer's page in headless Chromium, a minute or two
@@ -12,11 +14,12 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-# run or resume the sweeps $(1)
+# run or resume the sweeps $(1) in the folder $(2)
 run = for name in $(1); do \
-	  if [ -e results/$$name.zarr ]; then $(BIN)/fic-sweep resume results/$$name.zarr; \
-	  else $(BIN)/fic-sweep run $$name --out results/$$name.zarr; fi || exit $$?; \
+	  if [ -e $(2)/$$name.zarr ]; then $(BIN)/fic-sweep resume $(2)/$$name.zarr; \
+	  else $(BIN)/fic-sweep run $$name --out $(2)/$$name.zarr; fi || exit $$?; \
 	done
+ATLASES := atlas $(addprefix atlas-,period expected impact lost best usual settled errors)
 
 # every branch of what a sweep's numbers hang on; of the rest all but a few
 WHOLE := $(addprefix store/,fsync lock ledger opening commit) plan/grid
@@ -25,11 +28,11 @@ STORE_TESTS := tests/store tests/refine tests/test_runner.py tests/spec tests/pl
 modules = $(subst $() ,$(comma),$(patsubst %,sweeps/%.py,$(1)))
 comma := ,
 
-.PHONY: sweep test lint torture coverage docs picture figures gpu explore-speed clean distclean
+.PHONY: sweep test lint torture coverage docs picture figures atlas gallery gpu explore-speed clean distclean
 
 sweep: $(VENV)/installed
 	@mkdir -p results
-	@$(call run,paper-welded paper-contact period-map atlas-small)
+	@$(call run,paper-welded paper-contact period-map atlas-small,results)
 	@echo "drawing ..."
 	@$(BIN)/python -m figures.overview results
 	@ls results/*.png
@@ -66,6 +69,16 @@ figures: $(VENV)/installed
 	@# the findings beyond the paper, from the data that fic-sweep report has written
 	@$(BIN)/python -m figures.findings
 	@ls results/figures/*.png
+
+atlas: $(VENV)/installed
+	@mkdir -p results/atlas
+	@$(call run,$(ATLASES),results/atlas)
+	@echo "drawing ..."
+	@$(BIN)/python -m figures.atlas results/atlas
+	@ls results/atlas/*.png
+
+gallery: atlas
+	@$(BIN)/python -m figures.atlas results/atlas --docs docs
 
 # no installation and no network: the machine with the card may have neither
 gpu:

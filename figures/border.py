@@ -13,7 +13,11 @@ from figures.planes import Plane
 from figures.style import EDGED
 from sweeps import maps
 
-WORDS = {"convergence_time": "converged or not", "contact_time": "touched or not"}
+WORDS = {
+    "convergence_time": "converged or not",
+    "contact_time": "touched or not",
+    "contact_lost": "contact lost or never",
+}
 # More sides than this are the noise of cells that differ from all their neighbours: no border.
 MOST = 50_000
 
@@ -33,10 +37,11 @@ def between(plane: Plane) -> Border | None:
         return None
     level = maps.LEVELS.get(plane.metric)
     if level is not None:
-        text, inside = f"{plane.metric} = {level:g}", np.asarray(values.filled(np.inf) <= level)
+        words = f"{plane.metric.replace('_', ' ')} = {level:g}"
+        text, inside = WORDS.get(plane.metric, words), np.asarray(values.filled(np.inf) <= level)
         known = ~np.ma.getmaskarray(values)
-    elif infinite is not None:
-        text, inside = WORDS.get(plane.metric, "finite or not"), ~np.ma.getmaskarray(values)
+    elif infinite is not None and plane.metric in WORDS:
+        text, inside = WORDS[plane.metric], ~np.ma.getmaskarray(values)
         known = inside | infinite
     else:
         return None

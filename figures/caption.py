@@ -7,24 +7,31 @@ from figures.cut import Cells
 
 
 def titles(
-    items: Sequence[tuple[str, Cells]], width: float, panel_width: float
-) -> tuple[str, list[str]]:
-    """Title of the figure and of each panel, in lines of `width` and `panel_width` points.
+    rows: Sequence[Sequence[tuple[str, Cells]]], width: float, panel_width: float
+) -> tuple[str, list[list[str]], list[str]]:
+    """Title of the figure, of each panel and of each row, in lines of so many points.
 
-    The figure's title has what all panels share, a panel's title has its own.
+    The figure's title has what all panels share. What the panels of a column share stands above the
+    first of them, what those of a row share beside it, and the rest above its own panel.
     """
-    parts = [part for _, part in items]
+    parts = [part for row in rows for _, part in row]
     names = {part.name for part in parts}
     common = shared([part.fixed for part in parts])
     head = [style.fold(parts[0].name, width)] if len(names) == 1 else []
-    panels = []
-    for title, part in items:
-        own = [text for text in (*part.fixed, *_own(part, parts)) if text not in common]
-        lines = [title, part.name if len(names) > 1 else ""]
-        lines = [style.fold(line, panel_width) for line in lines if line]
-        panels.append("\n".join([*lines, *([style.wrap(own, panel_width)] if own else [])]))
     head += [style.wrap(common, width)] if common else []
-    return "\n".join(line for line in head if line), panels
+    own = [[_own(part, parts, common) for _, part in row] for row in rows]
+    beside = [shared(row) for row in own] if len(rows) > 1 else [[]]
+    above = [shared(column) for column in zip(*own, strict=True)]
+    panels = []
+    for i, row in enumerate(rows):
+        titled = []
+        for j, (title, part) in enumerate(row):
+            rest = [t for t in own[i][j] if t not in beside[i] and (i == 0 or t not in above[j])]
+            lines = [title, part.name if len(names) > 1 else ""]
+            lines = [style.fold(line, panel_width) for line in lines if line]
+            titled.append("\n".join([*lines, *([style.wrap(rest, panel_width)] if rest else [])]))
+        panels.append(titled)
+    return "\n".join(line for line in head if line), panels, [", ".join(row) for row in beside]
 
 
 def of_choices(head: str, part: Cells, width: float) -> str:
@@ -43,6 +50,8 @@ def shared(lists: Sequence[Sequence[str]]) -> list[str]:
     return [text for text in lists[0] if all(text in other for other in lists)]
 
 
-def _own(part: Cells, parts: Sequence[Cells]) -> list[str]:
-    common = shared([other.held for other in parts])
-    return [text for text in part.held if text not in common]
+def _own(part: Cells, parts: Sequence[Cells], common: Sequence[str]) -> list[str]:
+    """What a panel fixes or holds that not all panels share."""
+    held_by_all = shared([other.held for other in parts])
+    fixed = [text for text in part.fixed if text not in common]
+    return fixed + [text for text in part.held if text not in held_by_all]

@@ -64,15 +64,20 @@ def extend(values: NDArray[np.float64], scale: Normalize) -> str:
 
 
 def bar(
-    fig: Figure, drawn: ScalarMappable, axes: list[Axes], part: Cells, values: NDArray[np.float64]
+    fig: Figure,
+    drawn: ScalarMappable,
+    axes: list[Axes],
+    part: Cells,
+    values: NDArray[np.float64],
+    length: float = 150,
 ) -> None:
-    """One colour bar for a row of axes, with its arrows, and the level that their lines follow."""
+    """One colour bar for axes, `length` points long, with the level that their lines follow."""
     scale = norm(part, values)
     bar = fig.colorbar(
         drawn, ax=axes, extend=extend(values, scale), fraction=0.08, pad=0.02, aspect=22
     )
     bar.outline.set_linewidth(0.5)
-    bar.set_label(style.fold(part.label, 150))
+    bar.set_label(style.fold(part.label, length))
     bar.minorticks_off()
     level = maps.LEVELS.get(part.metric)
     if level and 0 < scale(level) < 1:

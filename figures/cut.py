@@ -33,6 +33,8 @@ from sweeps.store.format import (
 )
 from sweeps.store.reduced import NONE
 
+# Part of the scenarios of a statistic; beyond it the statistic is drawn as not trusted.
+FEW_DOUBTED = 0.01
 MOST_COMPARED = 100_000  # values of a dimension; the digits of more are not compared
 Wanted = Mapping[str, float | str]  # dimension -> the value at which it is fixed
 
@@ -52,7 +54,7 @@ class Cells:
     untrusted: NDArray[np.bool_] | None  # cells that ran but are not trusted; None: unknown
     simulated: NDArray[np.bool_] | None  # the others have a value from beside; None: not refined
     level: NDArray[np.int_] | None  # how often the grid was halved around the cell
-    trust_bound: str  # largest error of a trusted cell, as a formula
+    trust_bound: str  # when a cell is not trusted, in words
     name: str  # what the sweep is, in words
     fixed: tuple[str, ...]  # "symbol = value unit" of each fixed dimension, and the contact
     held: tuple[str, ...]  # the same of all that the sweep holds constant
@@ -78,7 +80,8 @@ def cut(data: xr.Dataset, drawn: Collection[str], metric: str, at: Wanted) -> xr
         for dim in data[metric].dims
         if dim not in drawn
     }
-    names = (metric, _judgement(data, metric), _own_status(data, metric), LEVEL, "status")
+    own = _own_status(data, metric)
+    names = (metric, _judgement(data, metric), own, _doubted(own), LEVEL, "status")
     wanted = [name for name in names if name in data]
     # isel before load: a store may be larger than memory, a picture is not
     part = data[wanted].isel(index).load()
@@ -113,7 +116,14 @@ def cells(part: xr.Dataset, metric: str) -> Cells:
     special = {key: status == code for key, code in REFUSED.items() if code != OK}
     good = status == OK
     special["infinite"] = good & np.isinf(values)
-    judgement = _judgement(part, metric)
+    judgement, doubted = _judgement(part, metric), _doubted(own)
+    untrusted, bound = None, ""
+    if judgement:
+        untrusted = good & (part[judgement].values != TRUSTED)
+        bound = f"error > {_bound(part, judgement)}"
+    elif doubted in part:
+        untrusted = good & (part[doubted].values > FEW_DOUBTED)
+        bound = f"more than {100 * FEW_DOUBTED:g} % of the scenarios"
     hidden = ~good | ~np.isfinite(values)
     special["no value"] = hidden & ~np.logical_or.reduce(list(special.values()))
     contact, held = _held(part)
@@ -123,10 +133,10 @@ def cells(part: xr.Dataset, metric: str) -> Cells:
         label=with_units(str(array.attrs.get("long_name", metric)), array),
         values=np.ma.masked_array(values, mask=hidden),
         special={key: cells for key, cells in special.items() if cells.any()},
-        untrusted=good & (part[judgement].values != TRUSTED) if judgement else None,
+        untrusted=untrusted,
         simulated=~near if LEVEL in part else None,
         level=_levels(part[LEVEL].values) if LEVEL in part else None,
-        trust_bound=_bound(part, judgement) if judgement else "",
+        trust_bound=bound,
         name=str(part.attrs.get("description") or part.attrs.get("name", "")),
         fixed=(*contact, *(_equation(c, n.get(c.name)) for c in _fixed(part))),
         held=held,
@@ -207,6 +217,11 @@ def _is_state(array: xr.DataArray) -> bool:
 def _own_status(data: xr.Dataset, metric: str) -> str:
     """The flag that says what became of a statistic of a reduced store; empty if it has none."""
     return str(data[metric].attrs.get("ancillary_variables", ""))
+
+
+def _doubted(status: str) -> str:
+    """The variable with the part of a statistic's scenarios that is not trusted, by its flag."""
+    return f"{status.removesuffix('_status')}_untrusted_share" if status else ""
 
 
 def _bound(data: xr.Dataset, judgement: str) -> str:

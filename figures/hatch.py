@@ -1,5 +1,6 @@
 """Hatches under and over the colours of a heatmap, and the legend that names them."""
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -17,6 +18,7 @@ from figures.planes import Plane
 from sweeps import maps
 
 LEGEND_BOX = 32  # point; a box of the legend and the spaces around it and its text
+MOST_SHARES = 4  # panels with a share of each in the legend
 HATCH_CELLS = 400  # per side; finer hatch outlines are below one printed dot
 # A dark line on a wider light line is visible on every colour, also in a grey print.
 _OVERLAY: tuple[dict[str, Any], ...] = tuple(
@@ -120,18 +122,20 @@ def special_entries(parts: Sequence[Of]) -> dict[str, Handle]:
 
 def special_text(key: str, parts: Sequence[Of]) -> str:
     """Why cells have no value, with their share of each panel."""
-    none = "none is best" if parts[0].metric.startswith("best_") else "no value"
-    infinite = maps.INFINITE.get(parts[0].metric, "infinite")
-    words = {"not run": "not run yet", "infinite": infinite, "no value": none}
+    metric = next((part.metric for part in parts if key in part.special), "")
+    words = {"not run": "not run yet", "infinite": maps.INFINITE.get(metric, "infinite")}
+    words["not trusted"] = "no value: too many scenarios are not trusted"
+    words["no value"] = "none is best" if metric.startswith("best_") else "no value"
     cells = [part.special.get(key, np.zeros(1, bool)) for part in parts]
     return f"{words.get(key, key)} ({shares(cells)})"
 
 
 def doubt_text(parts: Sequence[Of]) -> str:
     """When a cell is not trusted, with the share of each panel."""
-    bounds = dict.fromkeys(part.trust_bound for part in parts if part.trust_bound)
-    error = f"error > {' or '.join(bounds)}"
-    return f"not trusted: {error} ({shares([part.untrusted for part in parts])})"
+    bounds = " or ".join(dict.fromkeys(part.trust_bound for part in parts if part.trust_bound))
+    bounds = re.sub(r"(\w\w)_(\w)", r"\1 \2", bounds)  # a metric's name
+    bounds = re.sub(r"\b(\w)_(\w+)", r"$\1_{\2}$", bounds)  # t_end, T_n
+    return f"not trusted: {bounds} ({shares([part.untrusted for part in parts])})"
 
 
 def legend_columns(entries: Iterable[str], width: float) -> int:
@@ -144,7 +148,9 @@ def legend_columns(entries: Iterable[str], width: float) -> int:
 
 
 def shares(panels: Sequence[Cells | None]) -> str:
-    """Share of each panel's cells in percent; a dash for a store without estimates."""
+    """Share of each panel's cells in percent, of all if they are many; a dash without estimates."""
+    if len(panels) > MOST_SHARES:
+        panels = [np.concatenate([cells.ravel() for cells in panels if cells is not None])]
     shares = ["–" if cells is None else style.share(float(cells.mean())) for cells in panels]
     return f"{', '.join(shares)} %"
 
@@ -155,7 +161,8 @@ def legend(
     """Draw the legend below the axes, where it covers no data, under what the picture holds."""
     shares = any(isinstance(handle, tuple) for handle in entries.values())
     lines = [held] if held else []
-    lines += ["share of cells per panel, left to right"] if shares and panels_drawn > 1 else []
+    each = "per panel, left to right" if panels_drawn <= MOST_SHARES else "of all panels"
+    lines += [f"share of cells {each}"] if shares and panels_drawn > 1 else []
     if not (entries or lines):
         return
     handles: list[Any] = list(entries.values())

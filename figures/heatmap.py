@@ -1,16 +1,20 @@
-"""Heatmaps of one metric over two dimensions.
+"""Heatmaps over two dimensions.
 
-`draw` draws one plane; `panels` draws planes side by side.
+`draw` draws one plane; `panels` draws planes side by side, `grid` rows of them.
 """
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
 
 from figures import border, caption, colours, hatch, mesh, style, ticks
 from figures.cut import PlotError
@@ -20,6 +24,9 @@ FEW_CELLS = 10  # cells of a side up to which the cells carry numbers
 SMALLEST_NUMBER = 6.2  # point; in a column of 3.4 inches it prints as 6
 LABEL_ROOM, BAR_ROOM = 38, 50  # point; width of the labels of an axis, of the colour bar
 PANEL_HEIGHT = 125  # point
+# A line that a formula gives; its dark edges are seen on every colour.
+GUIDE: dict[str, Any] = {"color": "white", "lw": 1.1, "ls": "--", "path_effects": style.EDGED}
+Line = Callable[[Plane], tuple[NDArray[np.float64], NDArray[np.float64]]]  # x and y over a plane
 
 
 def panels(items: Sequence[tuple[str, Plane]]) -> Figure:
@@ -30,42 +37,74 @@ def panels(items: Sequence[tuple[str, Plane]]) -> Figure:
     """
     if not items:
         raise PlotError("panels needs at least one plane.")
-    planes = [plane for _, plane in items]
-    if len({plane.metric for plane in planes}) > 1:
-        metrics = ", ".join(dict.fromkeys(plane.metric for plane in planes))
-        raise PlotError(f"panels share one colour scale, but the metrics differ: {metrics}.")
+    metrics = dict.fromkeys(plane.metric for _, plane in items)
+    if len(metrics) > 1:
+        differ = ", ".join(metrics)
+        raise PlotError(f"panels share one colour scale, but the metrics differ: {differ}.")
+    return grid([items])
+
+
+def grid(
+    rows: Sequence[Sequence[tuple[str, Plane]]],
+    *,
+    width: float | None = None,
+    row_height: float = 2.05,
+    lines: Mapping[str, Line] | None = None,
+) -> Figure:
+    """Rows of titled planes; neighbouring rows of one metric share a colour scale and its bar.
+
+    width: inches; default: a column of a paper for one panel, else a page
+    row_height: inches, of a panel with the labels below it
+    lines: words of the legend -> the dashed line that is drawn over each plane
+    """
+    planes = [plane for row in rows for _, plane in row]
+    columns = len(rows[0])
     shared = all(_same(plane.y, planes[0].y) for plane in planes)
-    width = max(style.PAGE_WIDTH, 1.7 * len(items)) if len(items) > 1 else style.COLUMN_WIDTH
-    labels = LABEL_ROOM * (1 if shared else len(items))
-    room = (72 * width - BAR_ROOM - labels) / len(items) - 8
+    if width is None:
+        width = max(style.PAGE_WIDTH, 1.7 * columns) if columns > 1 else style.COLUMN_WIDTH
+    labels = LABEL_ROOM * (1 if shared else columns)
+    room = (72 * width - BAR_ROOM - labels) / columns - 8
     with style.look():
-        head, titles = caption.titles(items, 72 * width - 10, room + 8)
+        head, titles, beside = caption.titles(rows, 72 * width - 10, room + 8)
         head = caption.of_choices(head, planes[0], 72 * width - 10)
         held = caption.held(planes, 72 * width - 10)
         entries = colours.choice_entries(planes[0]) | hatch.legend_entries(planes)
-        borders = [border.between(plane) for plane in planes]
-        for line in borders:
+        for plane in planes:
+            line = border.between(plane)
             entries |= border.legend_entry(line) if line else {}
+        entries |= {text: Line2D([], [], **GUIDE) for text in lines or {}}
         entries |= mesh.legend_entry(planes)
-        columns = hatch.legend_columns(entries, width)
-        lines = head.count("\n") + max(text.count("\n") for text in titles)
-        small = math.ceil(len(entries) / columns) + 0.75 * (held.count("\n") + bool(held))
-        fig = Figure(figsize=(width, 2.55 + 0.13 * lines + 0.15 * small))
-        grid = list(fig.subplots(1, len(items), sharey=shared, squeeze=False)[0])
-        pool = colours.pool(planes)
-        cmap, norm = colours.colour_map(planes[0]), colours.norm(planes[0], pool)
-        for ax, plane, line, title in zip(grid, planes, borders, titles, strict=True):
-            coloured = _panel(ax, plane, cmap, norm, room)
-            ax.set_title(title)
-            for lines_drawn in border.drawn(line) if line else ():
-                ax.add_collection(lines_drawn, autolim=False)
-            if shared and ax is not grid[0]:
-                ax.set_ylabel("")
-                ax.tick_params(labelleft=False)
+        in_legend = hatch.legend_columns(entries, width)
+        of_titles = [max(text.count("\n") for text in row) + bool(any(row)) for row in titles]
+        lines_above = head.count("\n") + sum(of_titles) - 1
+        small = math.ceil(len(entries) / in_legend) + 0.75 * (held.count("\n") + bool(held))
+        height = 0.5 + row_height * len(rows) + 0.13 * lines_above + 0.15 * small
+        fig = Figure(figsize=(width, height))
+        axes = fig.subplots(len(rows), columns, sharey=shared, squeeze=False)
+        drawn = zip(axes, rows, titles, beside, strict=True)
+        for _, alike in itertools.groupby(drawn, key=lambda row: row[1][0][1].metric):
+            group = list(alike)
+            pool = colours.pool([plane for _, row, *_ in group for _, plane in row])
+            for grid_row, row, texts, side in group:
+                for ax, (_, plane), title in zip(grid_row, row, texts, strict=True):
+                    coloured = _panel(ax, plane, pool, room)
+                    ax.set_title(title)
+                    for guide in (lines or {}).values():
+                        ax.plot(*guide(plane), **GUIDE)
+                    if shared and ax is not grid_row[0]:
+                        ax.set_ylabel("")
+                        ax.tick_params(labelleft=False)
+                    if ax not in axes[-1] and _same(plane.x, planes[0].x):
+                        ax.set_xlabel("")
+                        ax.tick_params(labelbottom=False)
+                words = [style.fold(side, 72 * row_height - 30), grid_row[0].get_ylabel()]
+                grid_row[0].set_ylabel("\n".join(text for text in words if text))
+            if pool.size and not group[0][1][0][1].choices:
+                beside_bar = [ax for grid_row, *_ in group for ax in grid_row]
+                part, length = group[0][1][0][1], 72 * row_height * len(group)
+                colours.bar(fig, coloured, beside_bar, part, pool, length)
         fig.suptitle(head)
-        if pool.size and not planes[0].choices:
-            colours.bar(fig, coloured, grid, planes[0], pool)
-        hatch.legend(fig, entries, columns, held, len(planes))
+        hatch.legend(fig, entries, in_legend, held, len(planes))
     return fig
 
 
@@ -78,8 +117,9 @@ def _same(one: Axis, other: Axis) -> bool:
     return one.label == other.label and np.array_equal(one.values, other.values)
 
 
-def _panel(ax: Axes, plane: Plane, cmap: Colormap, norm: Normalize, room: float) -> QuadMesh:
-    """Draw one plane into `ax`, about `room` points wide."""
+def _panel(ax: Axes, plane: Plane, pool: NDArray[np.float64], room: float) -> QuadMesh:
+    """Draw one plane into `ax`, about `room` points wide, in the colours of all values `pool`."""
+    cmap, norm = colours.colour_map(plane), colours.norm(plane, pool)
     ax.set_xscale("log" if plane.x.scale == "log" else "linear")
     ax.set_yscale("log" if plane.y.scale == "log" else "linear")
     colours_drawn = ax.pcolormesh(
@@ -95,6 +135,9 @@ def _panel(ax: Axes, plane: Plane, cmap: Colormap, norm: Normalize, room: float)
     ax.set_ylim(plane.y.edges[0], plane.y.edges[-1])
     if max(plane.values.shape) <= FEW_CELLS and not plane.choices:
         _cell_numbers(ax, plane, cmap, norm, room)
+    line = border.between(plane)
+    for sides in border.drawn(line) if line else ():
+        ax.add_collection(sides, autolim=False)
     return colours_drawn
 
 

@@ -144,7 +144,7 @@ def draw(points: Points) -> Figure:
     """A line with markers, or dots; what has no value, or is not trusted, has a look of its own."""
     with style.look():
         width = 72 * style.COLUMN_WIDTH - 10
-        head, _ = caption.titles([("", points)], width, width)
+        head, *_ = caption.titles([[("", points)]], width, width)
         head = head if points.y is None else caption.of_choices(head, points, width)
         held = caption.held([points], width)
         pool = colours.pool([points])

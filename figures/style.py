@@ -22,7 +22,7 @@ from sweeps import maps
 COLUMN_WIDTH = 3.5  # inch, one column of a two-column paper
 PAGE_WIDTH = 7.16  # inch, both columns
 FONT_SIZE = 7.5  # point; smaller letters are hard to read in a printed column
-SMALL_SIZE = 6.5  # point; legend and numbers inside cells
+SMALL_SIZE = 7.0  # point; legend and numbers inside cells
 
 RC: dict[Any, Any] = {  # Any: matplotlib types its keys as 300 literals
     "figure.dpi": 300,

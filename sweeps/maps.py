@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from sweeps.store.format import ERRORS
 
 SYMBOLS = {  # of the fields, in TeX
+    "xd_error": r"$x_d$ − gap",
     "K0": r"$K_0$",
     "Fmax": r"$F_{Max}$",
     "x0": r"$\tilde{x}_0$",
@@ -38,13 +39,14 @@ INFINITE = {  # metric -> what an infinite value says
     "convergence_time_at_best": "never converges with any value",
     "convergence_time_error": "converges in one of two runs",
     "contact_time_error": "touches in one of two runs",
+    "nmse_error": "the two runs part",
 }
 LOG_METRICS = ("nmse", "nmse_tail", *ERRORS)  # the paper compares decades
 LINEAR_METRICS = ("convergence_time", "contact_time")
 SIGNED_METRICS = ("steady_error",)
 MAX_DECADES = 8  # of colours: further below, nmse is rounding in float32
 # Where a reader looks for a border: a root mean square error of a tenth of the desired torque.
-LEVELS = {"nmse": 0.01, "nmse_tail": 0.01}
+LEVELS = {"nmse": 0.01, "nmse_tail": 0.01, "contact_lost": 0.0}
 UNEVEN = 20  # mean over least step, beyond which each value gets the same width
 SEQUENTIAL = "viridis"
 # Of a signed metric. Luminance rises from end to end, so that a grey print shows the sign.

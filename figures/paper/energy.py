@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -97,9 +98,8 @@ def plot(data: Energies) -> Figure:
         turn = sign_change(data)
         below.plot(turn, 0.0, "o", color=look.OLDER, ms=2.5)
         below.text(turn, 0.006, f"{turn:.3f} rad", fontsize=style.SMALL_SIZE)
-        fig.legend(
-            *above.get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False
-        )
+        place: dict[str, Any] = {"loc": "outside upper center", "ncols": 2, "frameon": False}
+        fig.legend(*above.get_legend_handles_labels(), columnspacing=1.0, handlelength=1.5, **place)
     return fig
 
 

@@ -527,7 +527,7 @@ def test_each_metric_has_a_hatch_and_a_bound_of_its_own(judged):
         plane = select(judged, x="Kenv", y="K0", at={"Td": 5}, metric=drawn)
         doubted = judged[f"{metric}_trusted"].values[1] == 1
         np.testing.assert_array_equal(plane.untrusted, doubted)
-        bound = {"nmse": "max(1 % of nmse, 1e-12)", "convergence_time": "1 % of t_end"}[metric]
+        bound = {"nmse": "max(1 % of nmse, 1e-12)", "convergence_time": "1 % of $t_{end}$"}[metric]
         share = style.share(doubted.mean())
         assert legend(panels([("", plane)])) == [f"not trusted: error > {bound} ({share} %)"]
     plane = select(judged, x="Kenv", y="K0", at={"Td": 5}, metric="steady_error")
@@ -560,7 +560,7 @@ def test_an_estimated_error_has_a_logarithmic_scale(judged):
     assert isinstance(mesh(panel(figure)).norm, LogNorm)
     shown = figure.axes[1].get_ylabel().replace("\n", " ")
     assert shown == "estimated error of normalised mean square error"
-    assert legend(figure)[0] == "infinite (0.5 %)"
+    assert legend(figure)[0] == "the two runs part (0.5 %)"
     judged.nmse_error[:] = 0.0
     norm = mesh(panel(plot(judged, x="Kenv", y="K0", metric="nmse_error"))).norm
     assert norm.vmin == 0.0 < norm.vmax

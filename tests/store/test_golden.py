@@ -135,7 +135,7 @@ def test_an_old_judgement_is_about_nmse_alone(form):
     for metric in ("nmse", "nmse_error"):
         plane = select(data, x="Td", y="Kenv", metric=metric, at={"case": "0"})
         assert plane.untrusted is not None and not plane.untrusted.any()
-        assert plane.trust_bound == "1 % of nmse"
+        assert plane.trust_bound == "error > 1 % of nmse"
     assert select(data, x="Td", y="Kenv", metric="peak_torque").untrusted is None
 
 
