@@ -8,6 +8,7 @@
 - `history`: time histories of named cells
 - `style`: sizes, symbols, colours, number formats, and `save`
 - `overview`: the pictures of `make sweep`; `precision`: float32 beside float64
+- `atlas`: the gallery, from the sweeps of `make atlas`
 - `report`, `findings`: the pictures of `fic-sweep report`; `paper`: the paper's own figures
 
 `fic-sweep plot` is `save(draw(choose(dataset(path), ...)), file)`: Dataset -> Plane or Points ->

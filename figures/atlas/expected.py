@@ -67,7 +67,8 @@ def finding(data: xr.Dataset) -> str:
     deep = ", ".join(f"{float(v):.1f}" for v in steady.sel(xd_error=DEEP))
     stiff = float(steady.sel(xd_error=-DEEP).isel(K0=-1))
     return (
-        f"From every gap the torque converges with an error xd − gap of {', '.join(spans)} N·m/rad. "
+        f"From every gap the torque converges with an error xd − gap of "
+        f"{', '.join(spans)} N·m/rad. "
         f"A contact that is expected {DEEP:g} rad too deep is pressed too hard, by {deep} times Td "
         f"(medians); one that is expected {DEEP:g} rad too early costs time, and the stiffest "
         f"joint ends with a torque error of {stiff:.1f} Td: it does not arrive.".replace("-", "−")

@@ -12,20 +12,20 @@ from figures.planes import Plane, select
 SWEEPS = ("atlas-impact",)
 TITLE = "Peak torque of an impact"
 ALT = "Four maps of the peak torque over impact speed and Kenv, by damping"
-I, FMAX = 10.0, 15.0  # kg*m^2, N*m, of the sweep
+INERTIA, FMAX = 10.0, 15.0  # kg*m^2, N*m, of the sweep
 HARD = 30.0  # N*m, impacts of the first sentence
 RULE = r"$v\,\max(D_{env}, \sqrt{I\,K_{env}}) = F_{Max}$"
 
 
 def rule(v: xr.DataArray, Kenv: xr.DataArray, Denv: float) -> xr.DataArray:
     """The torque of a free body at a damper at once, or at a spring when it has stopped."""
-    return v * np.maximum(Denv, np.sqrt(I * Kenv))
+    return v * np.maximum(Denv, np.sqrt(INERTIA * Kenv))
 
 
 def at_fmax(plane: Plane) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Speed and Kenv at which the rule gives Fmax."""
     Kenv = plane.y.edges
-    return FMAX / np.maximum(float(plane.cut["Denv"]), np.sqrt(I * Kenv)), Kenv
+    return FMAX / np.maximum(float(plane.cut["Denv"]), np.sqrt(INERTIA * Kenv)), Kenv
 
 
 def plot(data: xr.Dataset) -> Figure:
