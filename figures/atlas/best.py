@@ -1,10 +1,13 @@
 """The best search resolution in the worst case, and what it costs to use 0.01 instead."""
 
+import json
+
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
 from figures import heatmap, style
+from figures.atlas.numbers import percent
 from figures.cut import FEW_DOUBTED
 from figures.planes import select
 from sweeps.store.format import OK
@@ -55,10 +58,13 @@ def finding(best: xr.Dataset, usual: xr.Dataset) -> str:
     cost = stiff["cost"].where(sure)
     one = data["best_sigma"].sel(contact="hard_stop")
     ends = [one.sel(K0=K, Kenv=E, method="nearest") for K, E in ((1000, 10), (100, 1000))]
+    bottom = json.loads(best.attrs["reduced_over"])["sigma"][1]
+    at_bottom = float((one == bottom).sum() / one.notnull().sum())
     most, least = (f"{float(end):.2g}" for end in ends)
     return (
         f"No one σ is best: on a hard stop it falls from {most} at K0 = 1000, Kenv = 10 to "
-        f"{least} at K0 = 100, Kenv = 1000 N·m/rad. "
+        f"{least} at K0 = 100, Kenv = 1000 N·m/rad (the sweep ends at {bottom:g}, the best of "
+        f"{percent(at_bottom)} of the cells that have one). "
         f"From K0 = {STIFF:g} N·m/rad on, where the worst cases are trusted, σ = 0.01 has a worst "
         f"nmse of {float(cost.median()):.2g} times that of the best in the median, and of "
         f"{float(cost.max()):.0f} times at most."

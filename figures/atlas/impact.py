@@ -52,5 +52,5 @@ def finding(data: xr.Dataset) -> str:
         f"An impact is that of a free body on a damper or a spring: where v max(Denv, √(I Kenv)) "
         f"exceeds {HARD:g} N·m, nine of ten peaks are {low:.2f} to {high:.2f} times this. "
         f"Without damping even a touch at {v:g} rad/s exceeds the saturation torque from "
-        f"Kenv = {from_here:.0f} N·m/rad on, since the joint bounces and comes back faster."
+        f"Kenv = {from_here:.0f} N·m/rad on, where the joint also loses contact."
     )
