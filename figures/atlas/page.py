@@ -34,7 +34,7 @@ def entry(name: str, title: str, alt: str, finding: str, data: Sequence[xr.Datas
     caption = " ".join([f"{alt}.", *(constants(one) for one in data)])
     return (
         f"## {title}\n\n![{alt}](gallery/{name}.png)\n\n{finding}\n\n"
-        f"*{caption}*\n\n```\n{commands}\n```\n"
+        f"*{caption}*\n\n```sh\n{commands}\n```\n"
     )
 
 

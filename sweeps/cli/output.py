@@ -185,12 +185,15 @@ def share(
     from sweeps.share.coarse import copied
     from sweeps.share.page import check_size, page, room_for_copy
     from sweeps.share.pins import choose, simulated
+    from sweeps.spec.mistakes import command
 
     most = room_for_copy(size)
     with unreadable_refused(path):
         source = Stored(path)
         if source.grid.sweep.refine:
-            refuse(f"{path}: is refined, and a page has no boxes; `fic-sweep plot` draws them")
+            axes = zip(("--x", "--y"), source.grid.dims, strict=False)
+            draw = command("plot", path, *(word for axis in axes for word in axis))
+            refuse(f"{path}: is refined, and a page has no boxes; {draw} draws them")
         named = _pinned(path, source, pin)
         metrics = _shared_metrics(path, source, metric)
         view = _first_map(path, source, metrics[0], x, y)

@@ -11,13 +11,14 @@ from fic_jax import QUANTITIES, Model, Params
 from sweeps.explore.view import View
 from sweeps.maps import SIGNED_METRICS
 from sweeps.plan.grid import Grid
+from sweeps.spec.mistakes import command
 from sweeps.spec.types import SpacedRange, Sweep
 from sweeps.store import format as store_format
 
 if TYPE_CHECKING:
     import xarray as xr
 
-STARTS = "# `fic-sweep run explored.toml` computes it\n"
+STARTS = f"# {command('run', 'explored.toml')} computes it\n"
 
 
 def sweep_file(sweep: Sweep) -> str:
@@ -30,7 +31,7 @@ def sweep_file(sweep: Sweep) -> str:
         record[table] = {n: value for n, value in held.items() if default[n] != value}
     tables = {name: value for name, value in record.items() if isinstance(value, dict)}
     lines = [f"{name} = {_toml(value)}" for name, value in record.items() if name not in tables]
-    for name in ("time", "model", "constants", "axes", "cases", "sample", "reduce"):
+    for name in ("time", "model", "constants", "axes", "cases", "sample", "reduce", "refine"):
         if tables.get(name):
             lines += ["", f"[{name}]"]
             lines += [f"{key} = {_toml(value)}" for key, value in tables[name].items()]

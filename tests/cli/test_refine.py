@@ -1,7 +1,6 @@
 """`[refine]` on the command line, and what one can get wrong about it."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -10,7 +9,6 @@ import xarray as xr
 
 from tests.command import typed
 
-PAGE = Path(__file__).parents[2] / "docs" / "refine.md"
 BEGIN = """
 name = "border"
 [time]
@@ -152,21 +150,3 @@ def test_a_refined_store_is_neither_reduced_nor_extended(ran, monkeypatch):
         more = typed("resume", "border.zarr", "--extend", "more.toml")
         assert more.code == 2 and "a refined sweep can't be extended" in more.stderr
     assert typed("resume", "border.zarr", "--dask", "local:2").code == 2
-
-
-def test_the_page_runs(tmp_path, monkeypatch):
-    """The file and the code of docs/refine.md, on a smaller grid."""
-    monkeypatch.chdir(tmp_path)
-    page = PAGE.read_text()
-    (file,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
-    file = file.replace("n = 33", "n = 9").replace("levels = 5", "levels = 3")
-    (tmp_path / "border.toml").write_text(file)
-    plain = file.partition("[refine]")[0].replace("n = 9", "n = 65")
-    (tmp_path / "full.toml").write_text(plain)
-    assert typed("run", "border.toml").code == 0
-    assert typed("run", "full.toml", "--out", "full.zarr").code == 0
-    known = {}
-    for code in re.findall(r"```python\n(.*?)```", page, re.DOTALL):
-        exec(code, known)
-    assert known["missed"] == 0
-    assert len(known["table"]) == (known["data"].status == 1).sum() > 81
