@@ -321,7 +321,7 @@ class Page:
         if place and found[0]:
             computed = {n: float(v) for n, v in asdict(found[0].metrics).items() if n in METRICS}
             rows = self.source.values(place, computed)
-            note = self.source.disagreement(rows, computed)
+            note = self.source.disagreement(rows, computed) or found[0].note
             selected = {"at": _at(view, place, True), "rows": rows, "note": note}
         return {"motions": motions, "selected": selected, "readout": selected}
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fic_jax import TRUST, Params, sweep
 from sweeps import maps
 from sweeps.explore.motion import Motion, Scenario, motion
 from sweeps.explore.motion_figures import LOOKS, columns
@@ -70,29 +69,13 @@ def simulated(source: Stored, cells: Sequence[tuple[str, tuple[int, ...]]]) -> l
     pins = []
     for name, index in cells:
         scenario = Scenario.of(source.grid, tuple(slice(i, i + 1) for i in index), source.dtype)
-        one, nmse = motion(scenario), cell_nmse(scenario)
+        one = motion(scenario)
+        nmse = float(one.metrics.nmse)
         place = {
             dim: str(values[i]) if values.dtype.kind == "U" else float(values[i])
             for (dim, values), i in zip(source.coordinates.items(), index, strict=True)
         }
         rows = source.values(place, {})
-        note = source.disagreement(rows, {"nmse": nmse}) or differs(float(one.metrics.nmse), nmse)
+        note = source.disagreement(rows, {"nmse": nmse}) or one.note
         pins.append(Pin(name, index, one, nmse, note))
     return pins
-
-
-def cell_nmse(scenario: Scenario) -> float:
-    """nmse of a scenario as a sweep computes it, to the last bit."""
-    params = Params(**{name: np.reshape(v, 1) for name, v in vars(scenario.params).items()})
-    found = sweep(params, model=scenario.model, dt=scenario.dt, n_steps=scenario.n_steps)
-    return float(found.nmse[0])
-
-
-def differs(drawn: float, nmse: float) -> str:
-    """What to say if the drawn motion has another nmse than its cell, by more than its trust.
-
-    The program that also returns the signals rounds a few operations in another way.
-    """
-    if abs(drawn - nmse) <= max(TRUST["nmse"].part * nmse, TRUST["nmse"].floor):
-        return ""
-    return f"This cell hangs on rounding: the drawn motion has nmse = {drawn:.6g}."

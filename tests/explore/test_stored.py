@@ -120,6 +120,9 @@ def test_a_motion_has_the_numbers_of_its_cell(source, data):
         one = motion(source.scenario(place))
         cell = data.sel(K0=K0, Kenv=Kenv, contact=contact, Td=5.0)
         assert one.metrics.nmse == cell["nmse"].item()
+        assert one.nmse == pytest.approx(cell["nmse"].item(), rel=0.01)  # of the signals
+        assert one.note == ""
+        assert "nmse = 0.5" in replace(one, nmse=0.5).note
         rows = source.values(place, {})
         assert float(rows[0][3]) == cell["nmse"].item()
         assert source.disagreement(rows, {"nmse": float(one.metrics.nmse)}) == ""
