@@ -86,7 +86,7 @@ def grid(
             group = list(alike)
             pool = colours.pool([plane for _, row, *_ in group for _, plane in row])
             for grid_row, row, texts, side in group:
-                for ax, (_, plane), title in zip(grid_row, row, texts, strict=True):
+                for ax, (_, plane), title, last in zip(grid_row, row, texts, rows[-1], strict=True):
                     coloured = _panel(ax, plane, pool, room)
                     ax.set_title(title)
                     for guide in (lines or {}).values():
@@ -94,7 +94,7 @@ def grid(
                     if shared and ax is not grid_row[0]:
                         ax.set_ylabel("")
                         ax.tick_params(labelleft=False)
-                    if ax not in axes[-1] and _same(plane.x, planes[0].x):
+                    if ax not in axes[-1] and _same(plane.x, last[1].x):
                         ax.set_xlabel("")
                         ax.tick_params(labelbottom=False)
                 words = [style.fold(side, 72 * row_height - 30), grid_row[0].get_ylabel()]

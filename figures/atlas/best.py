@@ -1,12 +1,10 @@
 """The best search resolution in the worst case, and what it costs to use 0.01 instead."""
 
-import json
-
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from figures import heatmap, style
+from figures import heatmap, reduction, style
 from figures.atlas.numbers import percent
 from figures.cut import FEW_DOUBTED
 from figures.planes import select
@@ -58,7 +56,9 @@ def finding(best: xr.Dataset, usual: xr.Dataset) -> str:
     cost = stiff["cost"].where(sure)
     one = data["best_sigma"].sel(contact="hard_stop")
     ends = [one.sel(K0=K, Kenv=E, method="nearest") for K, E in ((1000, 10), (100, 1000))]
-    bottom = json.loads(best.attrs["reduced_over"])["sigma"][1]
+    sweep, _ = reduction.reduced(best) or (None, None)
+    assert sweep
+    bottom = float(sweep.outermost("sigma").min())
     at_bottom = float((one == bottom).sum() / one.notnull().sum())
     most, least = (f"{float(end):.2g}" for end in ends)
     return (

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 import xarray as xr
 
 from fic_jax import QUANTITIES
+from figures import reduction
 
 HEAD = """# Gallery
 
@@ -41,11 +42,12 @@ def entry(name: str, title: str, alt: str, finding: str, data: Sequence[xr.Datas
 def constants(data: xr.Dataset) -> str:
     """What a sweep varies, and all that it holds constant, in one sentence each."""
     axes = ", ".join(f"{n} {dim}" for dim, n in data.sizes.items())
-    over = json.loads(data.attrs.get("reduced_over", "{}"))
-    reduced = ", each over " + ", ".join(f"{n} {dim}" for dim, (n, *_) in over.items())
+    sweep, reduce = reduction.reduced(data) or (None, None)
+    gone = [f"{sweep.dims[dim]} {dim}" for dim in reduce.gone] if sweep and reduce else []
+    reduced = f", each over {', '.join(gone)}" if gone else ""
     held = ", ".join(_held(json.loads(data.attrs["held"])))
     name = data.attrs["name"]
-    return f"Sweep {name}: {axes}{reduced if over else ''}. Constant: {held}."
+    return f"Sweep {name}: {axes}{reduced}. Constant: {held}."
 
 
 def _held(held: dict[str, float | str]) -> Iterator[str]:

@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 
 COARSE, FINE = 64, 256  # cells of a side while a slider moves, and when it rests
 REST = 0.15  # s without an event, after which a slider rests
-BAND = 4096  # cells computed at once, some 12 ms on two cores; a newer event then comes first
+# Steps computed at once, some 12 ms on two cores; a newer event then comes first.
+BAND = 4_096_000
+MOST_STEPS = 200_000  # of a scenario: a coarse map then takes some seconds
 NAME = "explored"  # of the sweep
 TITLE = "Fractal Impedance Controller"
 TIMES = {"dt": "plant step", "t_end": "end of the run"}
@@ -128,6 +130,10 @@ class Live:
             return float(values[len(values) // 2])
         return float(self._drawn()[name].at(np.array([0.5]))[0])
 
+    def opened(self, view: View) -> View:
+        """The view of an address: any values can be shown."""
+        return view
+
     def moved(self, view: View, name: str, value: Value) -> View:
         """The view with another value; `period` becomes a multiple of dt."""
         at = {**view.at, name: value}
@@ -177,7 +183,9 @@ class Live:
         del place
         return [row(name, known[name], METRICS[name]["unit"]) for name in STORED]
 
-    def disagreement(self, rows: list[Row], computed: Mapping[str, float]) -> str:
+    def disagreement(
+        self, place: Mapping[str, Value], rows: list[Row], computed: Mapping[str, float]
+    ) -> str:
         """The map and the motion are of one program."""
         del rows, computed
         return ""
@@ -205,7 +213,12 @@ class Live:
 
     def check(self, view: View) -> None:
         """Raise ViewError if the view can't be computed."""
-        self.plan(view, COARSE)
+        steps = self.plan(view, COARSE).n_steps
+        if steps > MOST_STEPS:
+            raise ViewError(
+                f"`t_end` must be at most {MOST_STEPS:,} times `dt` in a live map, but is "
+                f"{steps:,} times; `fic-sweep run` has no such limit."
+            )
 
     def stages(self) -> list[Stage]:
         """What computes a map, coarse then fine, each after a delay; None if it became stale."""
@@ -229,10 +242,11 @@ class Live:
         grid = Grid(plan)
         rows, columns = grid.shape
         bands: list[Mapping[str, NDArray[Any]]] = []
-        for first in range(0, rows, max(BAND // columns, 1)):
+        side = max(BAND // (plan.n_steps * columns), 1)
+        for first in range(0, rows, side):
             if stale():
                 return None
-            block = (slice(first, min(first + max(BAND // columns, 1), rows)), slice(0, columns))
+            block = (slice(first, min(first + side, rows)), slice(0, columns))
             bands.append(self._band(grid, block, error_estimate))
         cells = {
             name: np.concatenate([band[name] for band in bands]).reshape(grid.shape)
@@ -304,6 +318,8 @@ class Live:
 
 def _axis(view: View, name: str, n: int) -> Any:
     """An axis as a sweep file has it; of `period` the multiples of dt, at most n."""
+    if name not in view.ranges:
+        raise ViewError(f"the address has the axis `{name}` and must have `range.{name}` too.")
     low, high, scale = (getattr(view.ranges[name], part) for part in ("low", "high", "scale"))
     if name != "period":
         return {scale: [low, high], "n": n}

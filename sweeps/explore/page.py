@@ -10,7 +10,9 @@ import traceback
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, replace
+from html import escape
 from importlib.resources import files
+from threading import Lock
 from typing import Any
 
 from bokeh.document import Document
@@ -54,12 +56,14 @@ class Page:
         self.closed, self.map, self.version = False, None, source.version
         self._motions: dict[str, Motion] = {}
         self._pending: dict[str, Callable[[], None]] = {}
+        self._lock = Lock()  # of what waits: a worker writes it, the page reads it
         self._rest: Any = None
         self.said: dict[str, Any] = {"notice": "", "maps": 0, "fine": False, "legend": []}
         self.said |= {"motions": [], "selected": None, "readout": None}
         try:
-            self.view = parse(query, source.start, source.space, source.defaults)
-            source.check(self.view)
+            view = parse(query, source.start, source.space, source.defaults)
+            source.check(view)
+            self.view = source.opened(view)
         except ViewError as error:
             self.view = source.start
             self.said["notice"] = f"The address has no view that can be shown: {error}"
@@ -116,6 +120,8 @@ class Page:
 
     def _on_set(self, name: str, value: str) -> None:
         view = self.view
+        if name in ("cell", "colours"):
+            raise ViewError(f"`{name}` is set on the map.")
         if name in view.at:
             view = self.source.moved(view, name, self.source.space.value(name, value))
         else:
@@ -131,7 +137,7 @@ class Page:
         self._go(self.source.with_axis(self.view, side, name))
 
     def _on_tap(self, x: float, y: float, pin: bool = False) -> None:
-        if self.map is None:
+        if self.map is None or not _same_axes(self.map.view, self.view):
             return
         row, column = self.map.cell(x, y)
         view = self.view
@@ -145,7 +151,7 @@ class Page:
         self._select(view, cell)
 
     def _on_move(self, dx: float, dy: float) -> None:
-        if self.map is None:
+        if self.map is None or not _same_axes(self.map.view, self.view):
             return
         x, y = self.map.x, self.map.y
         column, row = x.at(MIDDLE), y.at(MIDDLE)
@@ -220,25 +226,28 @@ class Page:
 
     def _later(self, what: str, show: Callable[[], None]) -> None:
         """Show a result on the page's own thread; a newer one of its kind replaces it."""
-        waits = what in self._pending
-        self._pending[what] = show
+        with self._lock:
+            waits = what in self._pending
+            self._pending[what] = show
         if not waits and not self.closed:
             self.document.add_next_tick_callback(lambda: self._show_pending(what))
 
     def _show_pending(self, what: str) -> None:
-        self._pending.pop(what)()
+        with self._lock:
+            show = self._pending.pop(what)
+        show()
 
     def _show(self, found: Map) -> None:
         self.map = found
-        if self.view.colours is None:
+        now = _same_map(found.view, self.view)  # else a newer view is on its way
+        if now and self.view.colours is None:
             self.view = replace(self.view, colours=colour_ends(found))
             if self.history.views[-1] == replace(self.view, colours=None):
                 self.history.views[-1] = self.view
-        self.figure.show(found, self.view.colours or (0.0, 1.0))
+        self.figure.show(found, self.view.colours or colour_ends(found) or (0.0, 1.0))
         self._mark()
         n = self.said["maps"] + 1
-        now = replace(found.view, **{k: getattr(self.view, k) for k in ("colours", "cell", "pins")})
-        fine = found.fine and now == self.view  # not while a newer view is on its way
+        fine = found.fine and now
         self._say(legend=legend(found), title=_title(found), notice="", fine=fine, maps=n)
 
     def _mark(self) -> None:
@@ -251,7 +260,7 @@ class Page:
         self.figure.mark(places)
 
     def _on_map(self, drawn: Map, place: Mapping[str, Value] | None) -> tuple[float, float] | None:
-        if place is None:
+        if place is None or not _same_axes(drawn.view, self.view):
             return None
         x, y = drawn.x.centre(place[self.view.x]), drawn.y.centre(place[self.view.y])
         return None if x is None or y is None else (x, y)
@@ -321,7 +330,7 @@ class Page:
         if place and found[0]:
             computed = {n: float(v) for n, v in asdict(found[0].metrics).items() if n in METRICS}
             rows = self.source.values(place, computed)
-            note = self.source.disagreement(rows, computed) or found[0].note
+            note = self.source.disagreement(place, rows, computed) or found[0].note
             selected = {"at": _at(view, place, True), "rows": rows, "note": note}
         return {"motions": motions, "selected": selected, "readout": selected}
 
@@ -428,7 +437,7 @@ def _event(columns: Any) -> dict[str, Any]:
         if wanted.keys() - given.keys() - {"pin"}:
             raise ViewError("an event lacks a value.")
         return dict(event)
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
         raise ViewError("the page has sent an event that is none.") from None
 
 
@@ -440,6 +449,16 @@ def _failure(error: Exception) -> str:
         return f"can't be read: {error}"
     traceback.print_exception(error)
     return f"The program has failed at this: {type(error).__name__}."
+
+
+def _same_axes(one: View, other: View) -> bool:
+    return (one.x, one.y) == (other.x, other.y)
+
+
+def _same_map(one: View, other: View) -> bool:
+    """Whether two views differ in their colours and chosen cells alone."""
+    chosen: dict[str, Any] = {"colours": None, "cell": None, "pins": ()}
+    return replace(one, **chosen) == replace(other, **chosen)
 
 
 def _shown(value: Value) -> str:
@@ -457,8 +476,9 @@ def _at(view: View, place: Mapping[str, Value], one: bool = False) -> list[list[
 
 
 def _title(drawn: Map) -> str:
-    name = drawn.view.metric
-    return f"<b>{name}</b>: {drawn.label}" + (f" ({drawn.unit})" if drawn.unit else "")
+    """HTML; label and unit are a store's."""
+    label = escape(drawn.label + (f" ({drawn.unit})" if drawn.unit else ""))
+    return f"<b>{escape(drawn.view.metric)}</b>: {label}"
 
 
 def legend(drawn: Map) -> list[list[str]]:

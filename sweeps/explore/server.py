@@ -8,7 +8,7 @@ import errno
 import ipaddress
 import logging
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import lru_cache
@@ -60,13 +60,28 @@ class Guarded(BokehTornado):  # type: ignore[misc]
     def find_handler(self, request: Any, **kwargs: Any) -> Any:
         """The handler of a request; one that refuses it if it is foreign."""
         host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
-        own = origin is None or urlsplit(origin).netloc.lower() == host.lower()
-        if not (own and self.hosts(host)):
+        if not (self.hosts(host) and _own(origin, host) and not _embedded(request.headers)):
             return self.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
         if request.path == "/":
             context = {"application_context": self.applications["/"], "bokeh_websocket_path": "/ws"}
             return self.get_handler_delegate(request, Early, context)
         return super().find_handler(request, **kwargs)
+
+
+def _own(origin: str | None, host: str) -> bool:
+    try:
+        return origin is None or urlsplit(origin).netloc.lower() == host.lower()
+    except ValueError:  # no address
+        return False
+
+
+def _embedded(headers: Mapping[str, str]) -> bool:
+    """Whether a foreign page asks, as for a picture or a frame in it; following a link is no such.
+
+    It could not read the answer, but each request is work.
+    """
+    foreign = headers.get("Sec-Fetch-Site") in ("cross-site", "same-site")
+    return foreign and headers.get("Sec-Fetch-Dest") != "document"
 
 
 class Early(DocHandler):  # type: ignore[misc]
@@ -187,6 +202,8 @@ class Views(RequestHandler):  # type: ignore[misc]
         content: str | bytes
         try:
             view = parse(self.request.query, source.start, source.space, source.defaults)
+            source.check(view)
+            view = source.opened(view)
             make = {"view.py": source.python, "view.toml": source.sweep_file}.get(what)
             if make:
                 content = make(view)

@@ -41,11 +41,13 @@ from sweeps.store.format import (
     FLAGS,
     JUDGEMENTS,
     LEVEL,
+    NEAR,
     NOT_RUN,
     NOT_TRUSTED,
     OK,
     OK_NEAR,
     OLD_JUDGEMENTS,
+    TRUSTED,
     UNTRUSTED,
 )
 from sweeps.store.opening import open_store
@@ -163,6 +165,18 @@ class Stored:
         by = [name for name in metrics if name.endswith("_at_best")]
         metric = "nmse" if "nmse" in metrics else (*by, *metrics)[0]
         return View(metric, dims[1], dims[0], self.defaults)
+
+    def opened(self, view: View) -> View:
+        """The view of an address at the nearest values that were run."""
+
+        def run(name: str, value: Value) -> Value:
+            axis = self.axes[name]
+            return axis.value(axis.index(value))
+
+        at = {name: run(name, value) for name, value in view.at.items()}
+        pins = tuple({name: run(name, value) for name, value in p.items()} for p in view.pins)
+        cell = view.cell and (run(view.x, view.cell[0]), run(view.y, view.cell[1]))
+        return replace(view, at=at, pins=pins, cell=cell)
 
     def moved(self, view: View, name: str, value: Value) -> View:
         """The view at another value of a dimension: the nearest that was run."""
@@ -352,8 +366,13 @@ class Stored:
             rows.append(row(name, value, str(array.attrs["units"])))
         return rows
 
-    def disagreement(self, rows: list[Row], computed: Mapping[str, float]) -> str:
+    def disagreement(
+        self, place: Mapping[str, Value], rows: list[Row], computed: Mapping[str, float]
+    ) -> str:
         """What to say if this program computes another nmse than the store has; or nothing."""
+        status = np.asarray(self.store.array("status")[self._cell(place)])
+        if status.item() in NEAR.values():
+            return "This cell was not simulated: the store has the values of one beside it."
         stored = {name: float(exact) for name, _, _, exact in rows}
         nmse, found = stored.get("nmse", np.nan), computed["nmse"]
         if np.isnan(nmse) or nmse == found:
@@ -441,11 +460,15 @@ class Stored:
         }
         part = data[["status"]].isel(index).isel(dict.fromkeys(view.over, 0), drop=True)
         part = part.sortby([d for d in (view.x, view.y) if self.axes[d].scale != "category"])
-        codes = {"": OK, "infinite": OK, "no value": FAILED} | {r: c for c, r in STATUS.items()}
+        codes = {"": OK, "infinite": OK, "no value": OK} | {r: c for c, r in STATUS.items()}
         lookup = np.array([codes[reason] for reason in REASONS], np.uint8)
         part["status"] = ((view.y, view.x), lookup[found.reasons])
         attributes = {"units": found.unit, "long_name": found.label}
         part[view.metric] = ((view.y, view.x), found.values, attributes)
+        flag = f"{view.metric}_trusted"
+        if found.doubt is not None and flag in data:
+            trust = np.where(found.doubt.untrusted, np.uint8(NOT_TRUSTED), np.uint8(TRUSTED))
+            part[flag] = ((view.y, view.x), trust, data[flag].attrs)
         return part
 
 
@@ -456,9 +479,9 @@ def reduced(
     if view.how == "share":
         return np.asarray(np.mean((status == OK) & (values <= level), gone))
     if view.how == "mean":
-        return np.asarray(np.mean(values, gone))
+        return np.asarray(np.mean(values, gone, dtype=np.float64))
     if view.how == "median":
-        return np.asarray(np.median(values, gone))
+        return np.asarray(np.quantile(values, 0.5, gone, method="inverted_cdf"))
     flat = values.reshape(*values.shape[:2], -1)
     return np.asarray(np.take_along_axis(flat, _farthest(flat, view.metric)[..., None], -1)[..., 0])
 
@@ -478,12 +501,13 @@ def worst_status(status: NDArray[Any], gone: tuple[int, ...], how: How) -> NDArr
 
 
 def _reduction(view: View, level: float) -> Reduction:
+    # the map has the numbers of cells that are not trusted, and hatches them
     over, metric = list(view.over), view.metric
     if view.how == "mean":
-        return Reduction(over=over, mean=[metric])
+        return Reduction(over=over, untrusted=1.0, mean=[metric])
     if view.how == "median":
-        return Reduction(over=over, quantiles={metric: [0.5]})
+        return Reduction(over=over, untrusted=1.0, quantiles={metric: [0.5]})
     if view.how == "share":
-        return Reduction(over=over, share={"within": f"{metric} <= {level!r}"})
+        return Reduction(over=over, untrusted=1.0, share={"within": f"{metric} <= {level!r}"})
     signed = metric in maps.SIGNED_METRICS
-    return Reduction(over=over, max=[metric], min=[metric] if signed else [])
+    return Reduction(over=over, untrusted=1.0, max=[metric], min=[metric] if signed else [])

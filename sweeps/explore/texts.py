@@ -99,8 +99,8 @@ def python_of_store(path: Path, view: View, at: Mapping[str, int], level: float)
     over = repr(list(view.over))
     end = {
         "worst": f".max({over}, skipna=False)",
-        "mean": f".mean({over}, skipna=False)",
-        "median": f".median({over}, skipna=False)",
+        "mean": f'.mean({over}, skipna=False, dtype="float64")',
+        "median": f'.quantile(0.5, {over}, method="inverted_cdf", skipna=False)',
         "share": f" <= {level!r}).mean({over})",
     }[view.how]
     cells = f'data["{view.metric}"]' + (f".isel({cut})" if cut else "")

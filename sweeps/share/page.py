@@ -103,7 +103,7 @@ def lines(source: Stored, copy: Copy) -> list[str]:
         )
     digits = "as in the store" if source.dtype == "float32" else "in single precision, 7 digits"
     if copy.bits < MANTISSA:
-        digits = "rounded to 4 digits; those of pinned cells are not"
+        digits = "rounded to 4 digits"
     found = [f"{said} Numbers are {digits}."]
     left, own = len(Counts.of(source.store).pending), len(source.grid.own)
     if left:

@@ -76,6 +76,6 @@ def simulated(source: Stored, cells: Sequence[tuple[str, tuple[int, ...]]]) -> l
             for (dim, values), i in zip(source.coordinates.items(), index, strict=True)
         }
         rows = source.values(place, {})
-        note = source.disagreement(rows, {"nmse": nmse}) or one.note
+        note = source.disagreement(place, rows, {"nmse": nmse}) or one.note
         pins.append(Pin(name, index, one, nmse, note))
     return pins

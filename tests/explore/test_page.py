@@ -257,7 +257,7 @@ def test_a_store_is_cut_and_reduced(browser, stored, cube):
         (nmse,) = motions(page, 1)
         assert exact(page, "nmse") == nmse
         before = pixels(page)
-        page.locator('input[name="over.Td"]').check()
+        page.locator('input[name="over.Td"]').click()
         page.wait_for_function("window.explorer.said().view.over.length === 1")
         page.wait_for_function("window.explorer.said().legend")
         page.locator('select[name="all values"]').select_option("share")

@@ -125,8 +125,8 @@ def test_a_motion_has_the_numbers_of_its_cell(source, data):
         assert "nmse = 0.5" in replace(one, nmse=0.5).note
         rows = source.values(place, {})
         assert float(rows[0][3]) == cell["nmse"].item()
-        assert source.disagreement(rows, {"nmse": float(one.metrics.nmse)}) == ""
-        assert "another version" in source.disagreement(rows, {"nmse": 0.5})
+        assert source.disagreement(place, rows, {"nmse": float(one.metrics.nmse)}) == ""
+        assert "another version" in source.disagreement(place, rows, {"nmse": 0.5})
 
 
 @pytest.mark.parametrize("metric", ["nmse", "steady_error"])
