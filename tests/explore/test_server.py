@@ -55,6 +55,9 @@ def test_its_own_page_is_served(link):
         {"Origin": "http://evil.example"},
         {"Origin": "null"},
         {"Origin": "http://127.0.0.1:1"},
+        {"Origin": "http://[::1"},
+        {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "no-cors", "Sec-Fetch-Dest": "image"},
+        {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate", "Sec-Fetch-Dest": "iframe"},
     ],
 )
 def test_a_foreign_host_or_origin_is_refused(link, path, headers):
@@ -66,6 +69,11 @@ def test_localhost_is_this_machine(link):
     port = urlsplit(link).port
     own = {"Host": f"localhost:{port}", "Origin": f"http://localhost:{port}"}
     assert get(link, "/view.toml", **own)[0] == 200
+
+
+def test_a_link_on_a_foreign_page_can_be_followed(link):
+    followed = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Dest": "document"}
+    assert get(link, "/view.toml", **followed)[0] == 200
 
 
 @pytest.mark.parametrize(
@@ -90,7 +98,11 @@ def test_there_is_nothing_else_to_read(link, path):
 
 @pytest.mark.parametrize(
     ("query", "wanted"),
-    [("Td=x", "`Td` must be a finite number"), ("x=<b>", "has"), ("a" * 9_000, "at most")],
+    [
+        ("Td=x", "`Td` must be a finite number"),
+        ("x=<b>", "has"),
+        ("a" * 9_000, "at most"),
+    ],
 )
 def test_a_wrong_address_is_one_line(link, query, wanted):
     status, body = get(link, f"/view.py?{query}")

@@ -16,6 +16,18 @@ from sweeps.spec.reading import parse as read
 from sweeps.store.opening import dataset, open_store
 from tests.explore.conftest import CUBE, ran
 
+REFINED = """
+name = "refined"
+[time]
+t_end = 0.5
+[axes]
+K0 = { log = [1.0, 100.0], n = 3 }
+Kenv = { log = [10.0, 100.0], n = 3 }
+[refine]
+levels = 3
+classes = ["nmse < 1.5"]
+"""
+
 
 @pytest.fixture
 def source(cube):
@@ -145,6 +157,24 @@ def test_an_address_of_a_store_is_a_view_of_it(source):
     view = replace(source.start, over=("Td",), how="median", cell=(10.0, 1000.0))
     view = view.pinned(view.place())
     assert parse(view.query(source.defaults), source.start, source.space, source.defaults) == view
+
+
+def test_a_link_off_the_grid_shows_the_nearest_values_that_were_run(source):
+    view = replace(source.start, at=source.start.at | {"Td": 4.0}, cell=(33.0, 120.0))
+    opened = source.opened(view)
+    assert opened.at["Td"] == 5.0
+    x, y = opened.cell
+    assert x in source.coordinates[view.x] and y in source.coordinates[view.y]
+
+
+def test_a_cell_that_was_not_simulated_says_so(tmp_path):
+    refined = Stored(ran(tmp_path / "refined.zarr", REFINED))
+    status = xr.open_zarr(tmp_path / "refined.zarr", chunks=None)["status"]
+    for code, said in ((1, "another version"), (5, "was not simulated")):
+        i, j = np.argwhere(status.values == code)[0]
+        place = {"K0": float(status["K0"][i]), "Kenv": float(status["Kenv"][j])}
+        note = refined.disagreement(place, refined.values(place, {}), {"nmse": 0.5})
+        assert said in note
 
 
 def test_a_slider_takes_the_nearest_value_that_was_run(source):
