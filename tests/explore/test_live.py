@@ -195,7 +195,7 @@ def test_the_estimate_marks_what_is_not_trusted(source):
         ({"Fmax": -1}, "`Fmax` must be positive"),
         ({"dt": 0.003}, "`t_end` must be a whole multiple of dt"),
         ({"dt": 1e-9}, "steps of dt"),
-        ({"dt": 1e-5}, "at most 200,000 times `dt` in a live map, but is 1,000,000"),
+        ({"dt": 1e-6}, "at most 200,000 times `dt` in a live map, but is 1,000,000"),
         ({"x": "I"}, "must have `range.I` too"),
         ({"range.K0": "log:0:1"}, "between positive ends"),
         ({"range.K0": "lin:1:1"}, "two different ends"),
