@@ -23,7 +23,6 @@ from sweeps.store.format import (
     FLAGS,
     JUDGEMENTS,
     LEVEL,
-    NEAR,
     NO_LEVEL,
     OK,
     OK_NEAR,
@@ -108,7 +107,7 @@ def cells(part: xr.Dataset, metric: str) -> Cells:
         values = np.where(values > 0, values, np.nan)
     # xarray decodes status 0, the fill value, as NaN
     status = np.nan_to_num(part["status"].values) if "status" in part else np.ones(values.shape)
-    near = np.isin(status, list(NEAR.values()))
+    simulated = np.isin(status, (OK, DIVERGED))  # of a refined store: not the cells beside
     for code, meant in ((OK_NEAR, OK), (DIVERGED_NEAR, DIVERGED)):
         status = np.where(status == code, meant, status)
     if own := _own_status(part, metric):
@@ -134,7 +133,7 @@ def cells(part: xr.Dataset, metric: str) -> Cells:
         values=np.ma.masked_array(values, mask=hidden),
         special={key: cells for key, cells in special.items() if cells.any()},
         untrusted=untrusted,
-        simulated=~near if LEVEL in part else None,
+        simulated=simulated if LEVEL in part else None,
         level=_levels(part[LEVEL].values) if LEVEL in part else None,
         trust_bound=bound,
         name=str(part.attrs.get("description") or part.attrs.get("name", "")),

@@ -122,8 +122,8 @@ def export(
     from sweeps.cli.messages import counted
     from sweeps.export import SUFFIX, files, write
     from sweeps.spec.mistakes import command
-    from sweeps.store.format import NOT_RUN
-    from sweeps.store.opening import Counts, dataset, open_store
+    from sweeps.store.format import DIVERGED, NOT_RUN, OK
+    from sweeps.store.opening import dataset, open_store
 
     target = out or Path(_store_name(path) + SUFFIX[to.value])
     for file in files(target, to.value):
@@ -141,7 +141,8 @@ def export(
     store = open_store(path)
     grid = store.grid
     noun = "cell" if grid.sweep.reduce or grid.sweep.refine else "scenario"
-    simulated = f", {Counts.of(store).done:,} of them simulated" if grid.sweep.refine else ""
+    ran = int(data["status"].isin([OK, DIVERGED]).sum())
+    simulated = f", {ran:,} of them simulated" if grid.sweep.refine else ""
     print(f"wrote {names}, {counted(rows, noun)}{simulated}{_old_definition(data)}")
     others = grid.cells - grid.own_cells
     left = int((data["status"] == NOT_RUN).sum()) - others

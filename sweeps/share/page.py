@@ -237,7 +237,7 @@ def room_for_copy(megabytes: float) -> int:
     """Bytes that a file has for the copy. Raises SweepError if there are none."""
     if not ROOM < megabytes * MEGABYTE < math.inf:
         raise SweepError(
-            f"--size {megabytes:g}: must be more than {ROOM / MEGABYTE:g} MB, which the page takes "
-            "without its data"
+            f"--size {megabytes:g}: must be more than {ROOM / MEGABYTE:g} MB, which is "
+            "reserved for all but the data"
         )
     return int(megabytes * MEGABYTE) - ROOM
