@@ -217,7 +217,7 @@ class Live:
         if steps > MOST_STEPS:
             raise ViewError(
                 f"`t_end` must be at most {MOST_STEPS:,} times `dt` in a live map, but is "
-                f"{steps:,} times; `fic-sweep run` has no such limit."
+                f"{steps:,} times. A sweep that is run has no such limit."
             )
 
     def stages(self) -> list[Stage]:
