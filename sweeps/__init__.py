@@ -77,7 +77,7 @@ def run(
     if isinstance(sweep, str | Path):
         sweep = load(sweep)
     if client:
-        from sweeps.cluster import Cluster, refuse_refined
+        from sweeps.cluster import refuse_refined
 
         refuse_refined(sweep)
     place = Path(path or f"{sweep.name}.zarr")

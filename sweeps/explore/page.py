@@ -75,8 +75,8 @@ class Page:
         figures = [self.figure.figure, self.figure.colours, *self.motions.figures.values()]
         self.figure.figure.tags = [self.words, self.events]
         for name in ("tap", "doubletap", "mousemove", "mouseleave"):
-            told = CustomJS(code="window.explorer && window.explorer.pointer(cb_obj)")
-            self.figure.figure.js_on_event(name, told)
+            pass_on = CustomJS(code="window.explorer && window.explorer.pointer(cb_obj)")
+            self.figure.figure.js_on_event(name, pass_on)
         self.words.js_on_change("data", CustomJS(code="window.explorer && window.explorer.hear()"))
         with document.models.freeze():  # else Bokeh walks through the page after each
             for figure in figures:
@@ -288,13 +288,13 @@ class Page:
         def job(stale: Stale) -> None:
             try:
                 found = [place and self._motion(place) for place in places]
-                told = self._told(view, found)
+                words = self._words_of(view, found)
             except Exception as error:
                 notice = _failure(error)
                 self._later("motion", lambda: self._say(notice=notice))
                 return
             if not stale():
-                self._later("motion", lambda: self._draw(found, told))
+                self._later("motion", lambda: self._draw(found, words))
 
         self.quick.submit(key, job)
 
@@ -303,8 +303,8 @@ class Page:
         place = self.source.place(view)
         if place:
             rows = self.source.values(place, {})
-            told = {"at": _at(view, place), "rows": rows, "note": self.source.no_motion}
-            self._later("motion", lambda: self._say(selected=told, readout=told))
+            words = {"at": _at(view, place), "rows": rows, "note": self.source.no_motion}
+            self._later("motion", lambda: self._say(selected=words, readout=words))
 
     def _motion(self, place: Mapping[str, Value]) -> Motion:
         """The motion of a cell; those on the page are not simulated again."""
@@ -314,7 +314,7 @@ class Page:
             self._motions = dict(list(self._motions.items())[-2 * len(MARKS) :])
         return self._motions[key]
 
-    def _told(self, view: View, found: list[Any]) -> dict[str, Any]:
+    def _words_of(self, view: View, found: list[Any]) -> dict[str, Any]:
         """The words about the motions, and the values of the selected cell."""
         places = [self.source.place(view), *view.pins]
         names = [n for n in view.at if len({p[n] for p in places if p}) > 1]
@@ -334,9 +334,9 @@ class Page:
             selected = {"at": _at(view, place, True), "rows": rows, "note": note}
         return {"motions": motions, "selected": selected, "readout": selected}
 
-    def _draw(self, found: list[Any], told: dict[str, Any]) -> None:
+    def _draw(self, found: list[Any], words: dict[str, Any]) -> None:
         self.motions.show(found)
-        self._say(**told)
+        self._say(**words)
 
     def _readout(self, drawn: Map, row: int, column: int) -> dict[str, Any]:
         """All values of a cell of the map."""

@@ -1,9 +1,7 @@
 """Stores for the tests of this folder, in memory if possible: an fsync then takes no time."""
 
 import multiprocessing
-import os
 import shutil
-import tempfile
 from pathlib import Path
 
 import pytest
@@ -12,13 +10,6 @@ from sweeps.store.format import FORMAT
 from tests.store.stores import Stores, without_engine
 
 GOLDEN = Path(__file__).parent / "golden"
-
-
-@pytest.fixture(scope="session")
-def memory():
-    place = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
-    with tempfile.TemporaryDirectory(dir=place, prefix="fic-sweep-") as folder:
-        yield Path(folder)
 
 
 @pytest.fixture(scope="session")
