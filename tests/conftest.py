@@ -40,11 +40,17 @@ BEFORE = {
 
 
 @pytest.fixture(scope="session")
-def memory():
+def shared_memory():
     """A folder in memory if possible: an fsync there takes no time."""
     place = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
     with tempfile.TemporaryDirectory(dir=place, prefix="fic-sweep-") as folder:
         yield Path(folder)
+
+
+@pytest.fixture(scope="module")
+def memory(shared_memory):
+    """A folder of the module's own in memory."""
+    return Path(tempfile.mkdtemp(dir=shared_memory))
 
 
 @pytest.fixture(autouse=True)

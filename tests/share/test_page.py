@@ -55,15 +55,21 @@ def opened(browser, file, width=1280, height=900, **more):
     assert [url for url in asked if not url.startswith("data:")] == [file.as_uri()]
 
 
+def drawn(page):
+    """The page, once the map and the words around it are those of the view."""
+    page.evaluate("""() => new Promise((done) =>
+        requestAnimationFrame(() => requestAnimationFrame(done)))""")
+    return page
+
+
 def pixels(page):
-    """Every 11th pixel of the map, once it is drawn."""
-    code = """async () => {
-        await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
+    """Every 11th pixel of the map."""
+    code = """() => {
         const canvas = document.querySelector("#map canvas");
         const image = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
         return Array.from(new Uint32Array(image.data.buffer).filter((_, i) => i % 11 === 0));
     }"""
-    return np.array(page.evaluate(code), np.uint32)
+    return np.array(drawn(page).evaluate(code), np.uint32)
 
 
 def at(page, x, y):
@@ -127,7 +133,7 @@ def test_metric_and_axes_are_chosen(browser, file, joint):
         page.locator('select[name="Vertical axis"]').select_option("Td")
         page.locator('select[name="Horizontal axis"]').select_option("Td")  # they change places
         assert page.locator('select[name="Vertical axis"]').input_value() == "Kenv"
-        assert "T" in page.locator("#x-label").inner_text()
+        assert "T" in drawn(page).locator("#x-label").inner_text()
         page.mouse.move(*at(page, 0.99, 0.01))
         place = where(page)
         assert (place["Td"], place["Kenv"]) == ("12", "10")
@@ -211,7 +217,7 @@ def test_cells_without_a_number_are_hatched(browser, tmp_path):
     with opened(browser, file) as page:
         page.locator('input[name="slide.contact"]').press("Home")
         page.locator('input[name="slide.Td"]').press("Home")
-        legend = json.dumps(page.locator("#legend li").all_inner_texts())
+        legend = json.dumps(drawn(page).locator("#legend li").all_inner_texts())
         assert "not run yet" in legend
         assert "blocks are missing" in page.locator("#about-copy").inner_text()
         page.locator('input[name="slide.contact"]').press("End")

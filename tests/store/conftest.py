@@ -13,8 +13,8 @@ GOLDEN = Path(__file__).parent / "golden"
 
 
 @pytest.fixture(scope="session")
-def stores(memory):
-    folder = memory / "stores"
+def stores(shared_memory):
+    folder = shared_memory / "stores"
     folder.mkdir()
     with pytest.MonkeyPatch.context() as patch:
         without_engine(patch)
