@@ -6,7 +6,9 @@ trusted for a metric that the statistic needs, are counted by kind; too many ref
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -28,7 +30,8 @@ def block_values(grid: Grid, block: Block, cells: Cells) -> Values:
     """The variables of a block, from its scenarios.
 
     `cells` is called with boxes of `grid.full`, each of one model and of LARGEST_BLOCK scenarios at
-    most, in an order that the sweep alone decides.
+    most, in an order that the sweep alone decides, from another thread: a box is computed while the
+    one before is reduced, which takes a GPU's host as long.
     """
     reduce = grid.sweep.reduce
     assert reduce
@@ -37,11 +40,15 @@ def block_values(grid: Grid, block: Block, cells: Cells) -> Values:
         stay[reduce.best] = slice(0, grid.candidates)
     shape = shape_of(tuple(stay.values()))
     found: dict[str, np.ndarray] = {}
-    for box in _boxes(grid, stay, LARGEST_BLOCK // math.prod(_sides(grid))):
-        at = tuple(_shifted(part, -stay[dim].start) for dim, part in box.items())
-        for name, values in _statistics(grid, box, cells).items():
-            whole = found.setdefault(name, np.empty(shape, values.dtype))
-            whole[at] = values.reshape(shape_of(at))
+    boxes = list(_boxes(grid, stay, LARGEST_BLOCK // math.prod(_sides(grid))))
+    parts = list(_boxes(grid, _whole(grid), math.prod(_sides(grid))))
+    scenarios = [_scenarios(grid, box, part) for box in boxes for part in parts]
+    with closing(_ahead(cells, scenarios)) as values:
+        for box in boxes:
+            at = tuple(_shifted(part, -stay[dim].start) for dim, part in box.items())
+            for name, statistic in _statistics(grid, box, parts, values).items():
+                whole = found.setdefault(name, np.empty(shape, statistic.dtype))
+                whole[at] = statistic.reshape(shape_of(at))
     rows = {name: v.reshape(cells_of(block), -1) for name, v in found.items()}
     return _chosen(grid, reduce, rows)
 
@@ -85,8 +92,39 @@ def _boxes(grid: Grid, within: Mapping[str, slice], most: int) -> Iterator[dict[
     return (dict(zip(within, box, strict=True)) for box in itertools.product(*stretches))
 
 
-def _statistics(grid: Grid, box: Mapping[str, slice], cells: Cells) -> dict[str, np.ndarray]:
-    """All that the scenarios of some cells say, by name: arrays [cells of the box]."""
+def _whole(grid: Grid) -> dict[str, slice]:
+    """All values of the dimensions that statistics are over."""
+    return {dim: slice(0, length) for dim, length in _over(grid).items()}
+
+
+def _scenarios(grid: Grid, box: Mapping[str, slice], part: Mapping[str, slice]) -> Block:
+    """The box of `grid.full` with some cells and a part of their combinations."""
+    both = {**box, **part}
+    return tuple(both[dim] for dim in grid.full.dims)
+
+
+def _ahead(cells: Cells, boxes: Iterable[Block]) -> Generator[Values]:
+    """What `cells` gives for each box; the next one is computed while the last one is used."""
+    with ThreadPoolExecutor(1) as pool:
+        last = None
+        for box in boxes:
+            before, last = last, pool.submit(cells, box)
+            if before:
+                yield before.result()
+        if last:
+            yield last.result()
+
+
+def _statistics(
+    grid: Grid,
+    box: Mapping[str, slice],
+    parts: Iterable[Mapping[str, slice]],
+    boxes: Iterator[Values],
+) -> dict[str, np.ndarray]:
+    """All that the scenarios of some cells say, by name: arrays [cells of the box].
+
+    `boxes` gives the variables of each part of their combinations in turn.
+    """
     reduce, sweep = grid.sweep.reduce, grid.sweep
     assert reduce
     over, dims = _over(grid), list(grid.full.dims)
@@ -95,10 +133,9 @@ def _statistics(grid: Grid, box: Mapping[str, slice], cells: Cells) -> dict[str,
     needs = _needs(sweep)
     in_conditions = {one for text in reduce.share.values() for one in names(text)}
     total = Totals(reduce, math.prod(over.values()), list(needs))
-    whole = {dim: slice(0, length) for dim, length in over.items()}
-    for part in _boxes(grid, whole, math.prod(_sides(grid))):
-        both = {**box, **part}
-        scenarios = tuple(both[dim] for dim in dims)
+    for part in parts:
+        values = next(boxes)
+        scenarios = _scenarios(grid, box, part)
         shape = shape_of(scenarios)
 
         def rows(column: np.ndarray, shape: tuple[int, ...] = shape) -> Rows:
@@ -108,7 +145,6 @@ def _statistics(grid: Grid, box: Mapping[str, slice], cells: Cells) -> dict[str,
             """
             return np.ascontiguousarray(column.reshape(shape).transpose(order).reshape(n, -1))
 
-        values = cells(scenarios)
         named: dict[str, Any] = {name: rows(values[name]) for name in variables_read(sweep)}
         if fields := in_conditions & QUANTITIES.keys():
             params = vars(grid.full.params(scenarios))

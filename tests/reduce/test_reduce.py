@@ -3,6 +3,7 @@
 import itertools
 import re
 import shutil
+import threading
 
 import numpy as np
 import pytest
@@ -330,6 +331,26 @@ def test_a_box_has_one_model_and_fits_into_memory():
         values = fold.block_values(Grid(plan), next(Grid(plan).blocks()), cells)
     assert max(sizes) <= 20 and sum(sizes) == Grid(plan).full.cells
     assert set(values["nmse_max_contact"]) == {1}  # the first of equals; 0 is none
+
+
+def test_a_box_is_computed_while_the_one_before_is_reduced(monkeypatch):
+    plan = parse(ANY, "any.toml")
+    values, computed, begun = cells_from(Grid(plan), 0, False), [], threading.Event()
+
+    def cells(box):
+        computed.append(box)
+        if len(computed) == 2:
+            begun.set()
+        return values(box)
+
+    def count(self, status, folded=fold.Totals.count):
+        assert begun.wait(30), "the second box waits for the first"
+        folded(self, status)
+
+    monkeypatch.setattr(fold, "LARGEST_BLOCK", 5)
+    monkeypatch.setattr(fold.Totals, "count", count)
+    fold.block_values(Grid(plan, 100), next(Grid(plan, 100).blocks()), cells)
+    assert len(computed) > 2
 
 
 def test_a_random_design_and_choices_are_reduced_by_name(tmp_path):
