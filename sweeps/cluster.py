@@ -81,7 +81,10 @@ def connected(place: str) -> Iterator["Client"]:
     except ImportError as error:
         install = "`pip install 'fic-jax[dask]'` installs it"
         raise SweepError(f"--dask {place}: needs distributed ({error}); {install}") from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # we say it in a line ourselves
+    for name in ("distributed", "distributed.client"):  # each has a level of its own
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # we say it in a line ourselves
+    # a table of packages that may not matter: a worker that can't compute is named, with its reason
+    warnings.simplefilter("ignore", distributed.versions.VersionMismatchWarning)
     environment = {
         "XLA_FLAGS": os.environ.get("XLA_FLAGS", ""),
         "XLA_PYTHON_CLIENT_PREALLOCATE": "false",  # workers may share a GPU

@@ -1,6 +1,7 @@
 """A run on real Dask workers: the files of a serial run, whatever dies, hangs or is refused."""
 
 import contextlib
+import logging
 import os
 import random
 import re
@@ -291,6 +292,20 @@ def test_a_run_that_no_worker_can_do_leaves_nothing(tmp_path, client, sabotaged,
         sweeps.run(PLAN, tmp_path / "python.zarr", client=client)
     assert sorted(tmp_path.iterdir()) == [tmp_path / "many.toml", tmp_path / "there"]
     assert open_store(there.path).rows() == []
+
+
+def test_dask_itself_says_nothing(monkeypatch):
+    """Its table of packages, its traceback after the end of a scheduler: we say it in one line."""
+    said = {"warning": "Mismatched versions found"}
+    monkeypatch.setattr(distributed.versions, "error_message", lambda *_, **__: said)
+    with (
+        distributed.LocalCluster(
+            n_workers=0, host="127.0.0.1", dashboard_address="127.0.0.1:0", silence_logs=50
+        ) as scheduler,
+        cluster.connected(scheduler.scheduler_address),
+    ):
+        for name in ("distributed", "distributed.client", "distributed.core"):
+            assert not logging.getLogger(name).isEnabledFor(logging.ERROR)
 
 
 WITHOUT_PACKAGE = """
