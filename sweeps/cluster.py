@@ -81,7 +81,10 @@ def connected(place: str) -> Iterator["Client"]:
     except ImportError as error:
         install = "`pip install 'fic-jax[dask]'` installs it"
         raise SweepError(f"--dask {place}: needs distributed ({error}); {install}") from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # we say it in a line ourselves
+    for name in ("distributed", "distributed.client"):  # each has a level of its own
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # we say it in a line ourselves
+    # a table of packages that may not matter: a worker that can't compute is named, with its reason
+    warnings.simplefilter("ignore", distributed.versions.VersionMismatchWarning)
     environment = {
         "XLA_FLAGS": os.environ.get("XLA_FLAGS", ""),
         "XLA_PYTHON_CLIENT_PREALLOCATE": "false",  # workers may share a GPU
@@ -182,7 +185,9 @@ class Cluster:
         self.getting_ready: dict[str, float] = {}  # address -> since when
         self.refused: dict[str, str] = {}  # address -> why
         self.hung: set[str] = set()  # addresses of workers that were given up
-        self.sharing: Counter[str] = Counter()  # host -> the most workers it has had at a time
+        self.used = False  # whether a worker has been ready: others may come in its place
+        self.cores: dict[str, frozenset[int]] = {}  # address -> cores of its host that it may use
+        self.sharing: Counter[tuple[str, frozenset[int]]] = Counter()  # the most at a time
         self.slowest = 0.0  # s, of the blocks that have ended
         self.todo: deque[Task] = deque()
         self.suspects: deque[Task] = deque()
@@ -251,12 +256,13 @@ class Cluster:
         patience = WORKERS + (READY if self.getting_ready else 0)
         if self.hands:
             self.last_hand = now
-        elif present and not present - self.refused.keys():
+        elif present and not self.used and not present - self.refused.keys():
             whys = "; ".join(f"{address}: {self.refused[address]}" for address in sorted(present))
             raise SweepError(f"{self.store.path}: no worker can run it: {whys}")
         elif now - self.last_hand > patience:
             where = getattr(self.client.scheduler, "address", "the scheduler")
-            raise ConnectionError(f"{where} has had no worker for {patience:.0f} s")
+            usable = " that can run it" if present else ""
+            raise ConnectionError(f"{where} has had no worker{usable} for {patience:.0f} s")
 
     def _replace_lost(self, present: int) -> None:
         """Start the workers of this machine again that Dask has given up."""
@@ -266,22 +272,37 @@ class Cluster:
 
     def _welcome(self, new: list[str], present: set[str]) -> None:
         """Let new workers get ready, each in its time: one that hangs keeps nobody waiting."""
-        if not new:
-            return
-        self.sharing |= Counter(_host(address) for address in present)
         for address in new:
             self.getting_ready[address] = time.monotonic()
-            job = replace(self.job, sharing=self.sharing[_host(address)])
-            threading.Thread(target=self._greet, args=(address, job), daemon=True).start()
+            mates = {other for other in present if _host(other) == _host(address)} - {address}
+            threading.Thread(target=self._greet, args=(address, mates), daemon=True).start()
 
-    def _greet(self, address: str, job: worker.Job) -> None:
-        """Let a worker get ready, and wait for its answer."""
+    def _greet(self, address: str, mates: set[str]) -> None:
+        """Let a worker get ready, and wait for its answer; `mates` are the others of its host."""
+        job = self.job
         try:
+            cores = self.client.run(worker.usable_cores, workers=[address], on_error="return")
+            mine = cores[address] if isinstance(cores[address], frozenset) else frozenset()
+            self.cores[address] = mine
+            job = replace(job, sharing=self._sharing(address, mine, mates))
             said = self.client.run(worker.unready, job, workers=[address], on_error="return")
             answer = said[address]
         except Exception as error:  # it has gone meanwhile, or the scheduler has
             answer = OSError(error)
         self.arrived.put(Greeting(address, job, answer))
+
+    def _sharing(self, address: str, mine: frozenset[int], mates: set[str]) -> int:
+        """Workers that share the cores of this one: a scheduler may give each its own.
+
+        Waits for what the others of its host say, but not long: one may hang.
+        """
+        until = time.monotonic() + CONNECT
+        while not mates <= self.cores.keys() and time.monotonic() < until:
+            time.sleep(0.02)
+        sharing = 1 + sum(bool(self.cores.get(mate, mine) & mine) for mate in mates)
+        key = _host(address), mine
+        self.sharing[key] = max(self.sharing[key], sharing)  # a mate may be about to come again
+        return self.sharing[key]
 
     def _judge(self, greeting: Greeting) -> None:
         """Use a worker that is ready; one that can't be is named in a warning and not used."""
@@ -290,6 +311,7 @@ class Cluster:
             return
         if answer == "":
             self.hands[address] = Hand(address, greeting.job)
+            self.used = True
         elif not isinstance(answer, OSError):  # that would be one that has gone
             # Dask turns what a worker could not read into a text
             missing = re.search(r"ModuleNotFoundError|ImportError|AttributeError", repr(answer))

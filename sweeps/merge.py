@@ -81,7 +81,11 @@ def _refuse_different(part: Store, first: Store) -> None:
         what = ", ".join(other)
         raise SweepError(f"{part.path}: was begun with another {what} than {first.path}")
     program = [(key, found.get(key), wanted.get(key)) for key in PROGRAM]
-    differing = [f"{key} is {here}, not {there}" for key, here, there in program if here != there]
+    differing = [
+        f"{key} is {here or 'none'}, not {there or 'none'}"
+        for key, here, there in program
+        if here != there
+    ]
     if differing:
         what = "; ".join(differing)
         raise SweepError(f"{part.path}: was made by another program than {first.path}: {what}")

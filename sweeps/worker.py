@@ -35,7 +35,7 @@ class Job:
     store: str  # an absolute path
     probe: str  # the name of a file in it, and its content
     made_by: tuple[tuple[str, str | int], ...]  # the provenance of the store
-    sharing: int = 1  # workers that share the cores of a machine
+    sharing: int = 1  # workers that share its cores
 
 
 @dataclass(frozen=True)
@@ -51,6 +51,12 @@ class Unready:
     """The answer of a worker that can't compute the blocks of a run."""
 
     why: str
+
+
+def usable_cores() -> frozenset[int]:
+    """The cores of this machine that this process may use, by their numbers."""
+    affinity = getattr(os, "sched_getaffinity", None)  # Linux
+    return frozenset(affinity(0) if affinity else range(os.cpu_count() or 1))
 
 
 def compute(job: Job, index: int, known: Row | None, attempt: int) -> Receipt | Unready | OSError:
@@ -92,7 +98,7 @@ def unready(job: Job) -> str:
     except SweepError as error:
         return str(error)
     return "; ".join(
-        f"its {key} is {mine[key]}, not {made_by[key]}"
+        f"its {key} is {mine[key] or 'none'}, not {made_by[key] or 'none'}"
         for key in COMPARED
         if mine[key] != made_by[key]
     )

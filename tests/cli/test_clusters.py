@@ -37,7 +37,11 @@ done
 echo 1234
 """
 SRUN = '#!/bin/sh\nshift\nexec "$@"\n'
-SSH = '#!/bin/sh\necho "$1" >> reached\nexec sh -c "$2"\n'
+SSH = """#!/bin/sh
+if [ "$1" = gone ]; then exit 255; fi
+echo "$1" >> reached
+exec sh -c "$2"
+"""
 
 
 def block(language, word):
@@ -107,9 +111,17 @@ def test_kubernetes(cluster):
 
 def test_a_list_of_hosts(cluster):
     Path("hosts.txt").write_text("".join(f"host{k}\n" for k in range(1, N + 1)))
-    shell(block("bash", "hosts.txt"))
+    shell(block("bash", "cat -n hosts.txt"))
     assert sorted(Path("reached").read_text().split()) == ["host1", "host2"]
     whole("results/mine.zarr")
+
+
+def test_a_host_that_has_gone(cluster):
+    """Ssh exits with 255, which ends xargs: the other hosts run all the same, and merge waits."""
+    Path("hosts.txt").write_text("gone\nhost2\n")
+    ended = shell("set +e\n" + block("bash", "cat -n hosts.txt"), code=2)
+    assert ended.stdout.startswith("results/mine.2-of-2.zarr: 2 scenarios in ")
+    assert "results/mine.zarr: of 2 shards, 1 is missing (" in ended.stderr
 
 
 def test_the_commands_of_two_machines(cluster):

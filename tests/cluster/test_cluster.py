@@ -1,6 +1,7 @@
 """A run on real Dask workers: the files of a serial run, whatever dies, hangs or is refused."""
 
 import contextlib
+import logging
 import os
 import random
 import re
@@ -195,6 +196,50 @@ def test_a_worker_with_another_version_is_not_used(tmp_path, client, whole):
     same_files(store, whole)
 
 
+def test_a_worker_that_is_used_may_go_while_another_is_refused(tmp_path, client, whole, sabotaged):
+    """Its nanny starts it again: until then, the other one is the only worker."""
+    wrong, right = client.nthreads()
+    client.run(set_numerics, 99, workers=[wrong])
+    pid = client.run(os.getpid, workers=[right])[right]
+    sabotaged("slow", 0.1)
+    store, killed = start(tmp_path), []
+
+    def kill(progress):
+        if progress.done >= 2 and not killed:
+            killed.append(os.kill(pid, signal.SIGKILL))
+
+    try:
+        with pytest.warns(RuntimeWarning, match="its numerics is 99"):
+            result = run(store, client, kill)
+    finally:
+        client.run(set_numerics, fic_jax.NUMERICS, workers=[wrong])
+    assert killed
+    assert (result.done, result.set_aside) == (BLOCKS, ())
+    same_files(store, whole)
+
+
+def set_cores(cores):
+    os.sched_setaffinity(0, cores)
+
+
+@pytest.mark.skipif(len(worker.usable_cores()) < 2, reason="needs two cores")
+def test_workers_of_a_host_share_the_cores_that_both_may_use(tmp_path, client):
+    """A scheduler may give each worker cores of its own, which it uses alone."""
+    both = client.nthreads()
+    every = worker.usable_cores()
+    first = {min(every)}
+    try:
+        for cores, sharing in (((every, every), 2), ((first, every - first), 1)):
+            for address, own in zip(both, cores, strict=True):
+                client.run(set_cores, own, workers=[address])
+            store = start(tmp_path / str(sharing))
+            workers = Cluster(client, store)
+            runner.run(store, lambda _: None, run_blocks=workers.run_blocks)
+            assert [hand.job.sharing for hand in workers.hands.values()] == [sharing] * 2
+    finally:
+        client.run(set_cores, every)
+
+
 def test_a_worker_that_does_not_see_the_store_is_not_used(tmp_path, client):
     store = start(tmp_path)
     workers = Cluster(client, store)
@@ -247,6 +292,20 @@ def test_a_run_that_no_worker_can_do_leaves_nothing(tmp_path, client, sabotaged,
         sweeps.run(PLAN, tmp_path / "python.zarr", client=client)
     assert sorted(tmp_path.iterdir()) == [tmp_path / "many.toml", tmp_path / "there"]
     assert open_store(there.path).rows() == []
+
+
+def test_dask_itself_says_nothing(monkeypatch):
+    """Its table of packages, its traceback after the end of a scheduler: we say it in one line."""
+    said = {"warning": "Mismatched versions found"}
+    monkeypatch.setattr(distributed.versions, "error_message", lambda *_, **__: said)
+    with (
+        distributed.LocalCluster(
+            n_workers=0, host="127.0.0.1", dashboard_address="127.0.0.1:0", silence_logs=50
+        ) as scheduler,
+        cluster.connected(scheduler.scheduler_address),
+    ):
+        for name in ("distributed", "distributed.client", "distributed.core"):
+            assert not logging.getLogger(name).isEnabledFor(logging.ERROR)
 
 
 WITHOUT_PACKAGE = """
