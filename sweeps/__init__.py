@@ -27,7 +27,7 @@ fic_jax.
 import signal
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -77,6 +77,8 @@ def run(
     client: a `distributed.Client`, whose workers compute the blocks; None: this process does
     chunk: most cells of a block
     on_progress: is called with a `runner.Progress` after each block; `print` shows a line for each
+
+    The run has the precision of the sweep, and JAX that of the caller again afterwards.
 
     A block that could not be computed is set aside: `Counts.of(store).set_aside` names it. Raises
     SweepError for a wrong request, OSError if the disk or the cluster fails, KeyboardInterrupt
@@ -137,7 +139,6 @@ def _run(
     import jax
 
     from sweeps import runner
-    from sweeps.spec.mistakes import SweepError
     from sweeps.store.create import taken_back_if_refused
     from sweeps.store.opening import open_store
 
@@ -148,18 +149,19 @@ def _run(
 
         refuse_refined(sweep)
     place = Path(path or f"{sweep.name}.zarr")
+    callers = jax.config.jax_enable_x64  # type: ignore[attr-defined]
     try:
-        runner.configure(sweep.bits)
-    except RuntimeError:  # JAX has started as the caller wants it, and may lack what we need
-        if sweep.bits == 64 and not jax.config.jax_enable_x64:  # type: ignore[attr-defined]
-            x64 = "`jax.config.update('jax_enable_x64', True)`"
-            raise SweepError(f"{sweep.name}: precision = 64 needs {x64}") from None
-    with taken_back_if_refused(place):
-        store = runner.start_or_reopen(place, sweep, chunk, sweep.bits, None)
-        run_blocks = None
-        if client:
-            from sweeps.cluster import Cluster
+        with suppress(RuntimeError):  # JAX has started, as the caller wants it
+            runner.configure(sweep.bits)
+        jax.config.update("jax_enable_x64", sweep.bits == 64)
+        with taken_back_if_refused(place):
+            store = runner.start_or_reopen(place, sweep, chunk, sweep.bits, None)
+            run_blocks = None
+            if client:
+                from sweeps.cluster import Cluster
 
-            run_blocks = Cluster(client, store).run_blocks
-        runner.run(store, on_progress, run_blocks=run_blocks)
-    return open_store(store.path)
+                run_blocks = Cluster(client, store).run_blocks
+            runner.run(store, on_progress, run_blocks=run_blocks)
+        return open_store(store.path)
+    finally:
+        jax.config.update("jax_enable_x64", callers)

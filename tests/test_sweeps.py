@@ -4,6 +4,8 @@ import signal
 import threading
 import traceback
 
+import jax
+import jax.numpy as jnp
 import pytest
 
 import sweeps
@@ -16,9 +18,13 @@ SMALL = {"axes": {"K0": [10.0, 20.0, 50.0, 100.0]}, "constants": {"period": 0.01
 @pytest.fixture(autouse=True)
 def as_python_starts():
     """A worker of pytest may ignore SIGINT."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    before, x64 = (
+        signal.signal(signal.SIGINT, signal.default_int_handler),
+        jax.config.jax_enable_x64,
+    )
     yield
     signal.signal(signal.SIGINT, before)
+    jax.config.update("jax_enable_x64", x64)
 
 
 @pytest.fixture
@@ -112,6 +118,22 @@ def test_a_report_without_news_is_not_passed_on(plan, tmp_path, monkeypatch):
     seen = []
     sweeps.run(plan, tmp_path / "small.zarr", chunk=2, on_progress=seen.append)
     assert [progress.done for progress in seen] == [0, 2, 4]
+
+
+@pytest.mark.parametrize("bits", [32, 64])
+@pytest.mark.parametrize("callers", [False, True])
+def test_a_run_leaves_the_precision_of_the_caller(plan, tmp_path, bits, callers):
+    jax.config.update("jax_enable_x64", callers)
+    jnp.zeros(1)  # JAX has started
+    seen = []
+    store = sweeps.run(
+        plan.model_copy(update={"precision": bits}),
+        tmp_path / "small.zarr",
+        on_progress=lambda _: seen.append(jax.config.jax_enable_x64),
+    )
+    assert store.dtype == f"float{bits}"
+    assert set(seen) == {bits == 64}
+    assert jax.config.jax_enable_x64 is callers
 
 
 def test_a_mistake_is_one_line_below_the_callers_own(plan, tmp_path, monkeypatch):
