@@ -47,6 +47,7 @@ class Progress:
     set_aside: tuple[Row, ...] = ()  # blocks that this run could not compute
     combinations: int = 1  # scenarios of a cell
     refined: bool = False  # `cells` is the most that there may be, until the end
+    blocks: int = 0  # of a refined sweep, written by this run after all simulations
 
     def __str__(self) -> str:
         """How far the run is, in one line: `on_progress=print` shows it."""
@@ -200,23 +201,23 @@ def _run_rounds(store: Store, on_progress: OnProgress) -> Progress:
     with writing(store) as (writer, _):
         counts = Counts.of(store)
         if not counts.pending:  # a kill may have come before the last lines of `rounds`
-            progress = replace(progress, done=counts.done)
+            progress = replace(progress, cells=counts.done, done=counts.done)
             store.journal.clear()
         with closing(rounds(writer, simulate)) as steps:
             for step in steps if counts.pending else ():
                 progress = replace(
                     progress,
+                    cells=step.simulated if step.ended else grid.most_runs,
                     done=step.simulated,
                     ran=step.ran,
                     diverged=step.diverged,
+                    blocks=step.blocks,
                     seconds=time.perf_counter() - began,
                     set_aside=(*progress.set_aside, *step.rows),
                 )
                 on_progress(progress)
-        if not progress.set_aside:
-            progress = replace(progress, cells=progress.done)
-            if "end" not in store.group.attrs:
-                writer.end()
+        if not progress.set_aside and "end" not in store.group.attrs:
+            writer.end()
     return progress
 
 

@@ -213,6 +213,8 @@ def _value(grid: Grid, dim: str, index: int) -> str:
 
 def progress_line(progress: Progress) -> str:
     """Rate and time left."""
+    if progress.blocks:
+        return f"{counted(progress.blocks, 'block')} written"
     if not progress.ran:
         return "compiling" if progress.done < progress.cells else "complete already"
     rate = progress.ran / progress.seconds
@@ -233,19 +235,27 @@ def log_line(progress: Progress) -> str:
 
 def summary(store: Store, result: Progress) -> str:
     """What a run has done."""
-    if not result.ran and not result.set_aside:
+    if not (result.ran or result.blocks or result.set_aside):
         scenarios = counted(result.cells * result.combinations, "scenario")
         return f"{store.path}: complete already, {scenarios}"
+    counts = Counts.of(store)
+    lines = [f"{store.path}: {_done(store, result)}", *_nearby(store, counts), *_trusted(counts)]
+    lines += reduced_lines(store)
+    return "\n".join(lines)
+
+
+def _done(store: Store, result: Progress) -> str:
+    """What a run has simulated, or only written, and in what time."""
+    took = f"in {_duration(result.seconds)}"
+    if not (result.ran or result.set_aside):
+        blocks = counted(result.blocks, "block")
+        return f"{counted(result.cells, 'scenario')} simulated before, {blocks} written {took}"
     ran = result.ran * result.combinations
     rate = ran / result.seconds
     steps = rate * store.grid.sweep.n_steps / 1e6
     speed = f", {rate:,.0f}/s ({steps:,.0f} M steps/s)" if steps >= 1 else ""
     diverged = f", {result.diverged:,} diverged" if result.diverged else ""
-    first = f"{counted(ran, 'scenario')} in {_duration(result.seconds)}{speed}{diverged}"
-    counts = Counts.of(store)
-    lines = [f"{store.path}: {first}", *_nearby(store, counts), *_trusted(counts)]
-    lines += reduced_lines(store)
-    return "\n".join(lines)
+    return f"{counted(ran, 'scenario')} {took}{speed}{diverged}"
 
 
 def _nearby(store: Store, counts: Counts) -> Iterator[str]:

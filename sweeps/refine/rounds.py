@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Generator, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -31,6 +31,8 @@ class Step:
     simulated: int  # cells in all
     ran: int = 0  # by this run
     diverged: int = 0  # of these
+    blocks: int = 0  # written by this run, after all simulations
+    ended: bool = False  # the last one is written
     rows: tuple[Row, ...] = ()  # of blocks that were just set aside
 
 
@@ -172,7 +174,7 @@ class _Run:
             yield self._step()
 
     def _step(self, *rows: Row) -> Step:
-        return Step(self.table.n, self.ran, self.diverged, rows)
+        return Step(self.table.n, self.ran, self.diverged, rows=rows)
 
     def _attempts(self, batch: np.ndarray) -> Values | None:
         for _ in range(ATTEMPTS):
@@ -206,7 +208,8 @@ class _Run:
     def _finish(self) -> Generator[Step]:
         """Give each cell a value, and write all blocks."""
         self.write()
-        for block in (i for i in range(self.grid.n_blocks) if i not in self.done):
+        todo = [block for block in range(self.grid.n_blocks) if block not in self.done]
+        for blocks, block in enumerate(todo, 1):
             self.writer.commit(self.table.done(block, self.boxes), Row(block, DONE))
-            yield self._step()
+            yield replace(self._step(), blocks=blocks, ended=blocks == len(todo))
         self.journal.clear()

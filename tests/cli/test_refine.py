@@ -1,5 +1,6 @@
 """`[refine]` on the command line, and what one can get wrong about it."""
 
+import itertools
 import re
 
 import numpy as np
@@ -7,6 +8,9 @@ import pandas as pd
 import pytest
 import xarray as xr
 
+from sweeps.cli import interruption
+from sweeps.store.commit import Writer
+from sweeps.store.opening import Counts, open_store
 from tests.command import typed
 
 BEGIN = """
@@ -150,3 +154,41 @@ def test_a_refined_store_is_neither_reduced_nor_extended(ran, monkeypatch):
         more = typed("resume", "border.zarr", "--extend", "more.toml")
         assert more.code == 2 and "a refined sweep can't be extended" in more.stderr
     assert typed("resume", "border.zarr", "--dask", "local:2").code == 2
+
+
+def interrupted_at(monkeypatch, number):
+    """Request a stop as the run writes its block of this number; 0: before it writes one."""
+    calls, commit = itertools.count(), Writer.commit
+
+    def stopped(writer, values, row):
+        if number == 0:
+            raise KeyboardInterrupt
+        row = commit(writer, values, row)
+        if next(calls) + 1 == number:
+            stop.requested = True
+        return row
+
+    stop = interruption.Stop()
+    monkeypatch.setattr(interruption, "Stop", lambda: stop)
+    monkeypatch.setattr(Writer, "commit", stopped)
+
+
+def test_a_run_that_only_writes_blocks_says_so(folder, monkeypatch):
+    with monkeypatch.context() as patch:
+        interrupted_at(patch, 0)
+        ended = typed("run", "border.toml", "--chunk", "200")
+    assert ended.code == 1 and "`fic-sweep resume border.zarr` does the rest" in ended.stderr
+    n = Counts.of(open_store(folder / "border.zarr")).done
+    with monkeypatch.context() as patch:
+        interrupted_at(patch, 2)
+        assert typed("resume", "border.zarr").code == 1
+    said = typed("resume", "border.zarr").stdout
+    assert f"border.zarr: {n} scenarios simulated before, 2 blocks written in " in said
+    assert f"refined   {n} of 578 cells simulated" in said
+    assert f"complete already, {n} scenarios" in typed("resume", "border.zarr").stdout
+
+
+def test_a_stop_at_the_last_block_comes_too_late(folder, monkeypatch):
+    interrupted_at(monkeypatch, 4)
+    ended = typed("run", "border.toml", "--chunk", "200")
+    assert ended.code == 0 and re.match(r"border.zarr: \d+ scenarios in ", ended.stdout)
