@@ -74,8 +74,12 @@ def reduced_lines(store: Store) -> list[str]:
         ok = _percent(cells.pop("ok", 0), whole)
         why = [f"{_percent(n, whole)} {word}" for word, n in cells.items()]
         texts.append(f"{name} {ok}" + (f" ({'; '.join(why)})" if why else ""))
-    allowed = f"where at most {_percent(reduce.untrusted, 1)} of the scenarios are not known"
-    return [*_in_lines("values", texts), f"{'':{HEAD}}{allowed} (`untrusted`)"]
+    value = "a trusted value" if store.grid.sweep.error_estimate else "a value"
+    needed = f"each of its scenarios has {value}"
+    if reduce.untrusted:
+        needed = f"at most {_percent(reduce.untrusted, 1)} of its scenarios lack {value}"
+    where = f"a cell has a value where {needed} (`untrusted = {reduce.untrusted:g}`)"
+    return [*_in_lines("values", texts), f"{'':{HEAD}}{where}"]
 
 
 def held_lines(sweep: Sweep) -> list[str]:

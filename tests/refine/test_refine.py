@@ -432,3 +432,14 @@ def test_a_picture_says_what_was_simulated(border, small):
     line = choose(dataset(small), x="K0", metric="nmse", at={"Kenv": 100.0})
     texts = [t.get_text() for t in draw(line).legends[0].texts]
     assert any("of cells simulated" in text for text in texts)
+
+
+def test_a_picture_of_levels_has_whole_ticks(border, tmp_path):
+    few = tmp_path / "few.zarr"
+    complete(few, parse(REFINED.replace("levels = 3", "levels = 1"), "refined"))
+    for path, last in ((border, 3), (few, 1)):
+        bar = draw(choose(dataset(path), x="sigma", y="Kenv", metric="level")).axes[1]
+        assert bar.get_ylim() == (0, last)
+        assert bar.get_yticks().tolist() == list(range(last + 1))
+    line = draw(choose(dataset(few), x="sigma", metric="level")).axes[0]
+    assert set(line.get_yticks()) <= {-1, 0, 1, 2}
