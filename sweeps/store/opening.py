@@ -105,7 +105,7 @@ class Store(display.Displayed):
     @property
     def journal(self) -> Journal:
         """What a refined run has simulated, until its blocks are written."""
-        return Journal(self.path, str(self.group.attrs["sweep_sha256"]))
+        return Journal(self.path, str(self.group.attrs["sweep_sha256"]), self.ledger)
 
     def array(self, name: str) -> zarr.Array[Any]:
         """A variable or a coordinate on the disk."""

@@ -349,6 +349,29 @@ def test_a_damaged_journal_is_named_and_its_cells_are_simulated_again(
     assert contents(path) == contents(quick)
 
 
+@pytest.mark.parametrize("deleted", [(1,), (2, 4), (4,), (1, 2, 3, 4)])
+def test_a_deleted_file_of_the_journal_is_missed(tmp_path, quick, each_batch, monkeypatch, deleted):
+    path = tmp_path / "a.zarr"
+    with monkeypatch.context() as patch:
+        killed_at(patch, 5)
+        with pytest.raises(Killed):
+            runner.run(runner.start(path, QUICK, 60, 32), quiet)
+    assert not verify(path).problems
+    for number in deleted:
+        (path / f"simulated.{number}").unlink()
+    names = [f"simulated.{number}" for number in deleted]
+    assert [problem.what for problem in verify(path).problems] == names
+    assert verify(path).problems[0].how == "is missing; a run simulates its cells again"
+    with monkeypatch.context() as patch:
+        killed_at(patch, 2)
+        with pytest.raises(Killed):
+            runner.run(open_store(path), quiet)
+    left = [problem.what for problem in verify(path).problems]
+    assert left == names[1:]  # the first one has been written again
+    runner.run(open_store(path), quiet)
+    assert contents(path) == contents(quick) and not verify(path).problems
+
+
 def test_a_journal_of_another_sweep_is_not_read(tmp_path, each_batch, monkeypatch):
     names = ("a.zarr", "b.zarr")
     for name, plan in zip(names, (QUICK, QUICK.model_copy(update={"name": "other"})), strict=True):
