@@ -13,8 +13,8 @@ from sweeps.plan.grid import Grid
 from sweeps.runner import Progress
 from sweeps.spec.digits import digits
 from sweeps.spec.mistakes import SweepError, command, printable
-from sweeps.spec.types import Sweep
-from sweeps.store.format import DEFINITIONS, DIVERGED, REFUSED, size
+from sweeps.spec.types import MAX_RUNS, Sweep
+from sweeps.store.format import BUDGET_LEVEL, DEFINITIONS, DIVERGED, REFUSED, size
 from sweeps.store.ledger import Row, intact
 from sweeps.store.opening import Counts, Store
 from sweeps.store.verify import Report
@@ -137,6 +137,7 @@ def status_lines(store: Store) -> list[str]:
         *(f"diverged  {scenario}" for scenario in diverged),
         *(f"failed    {block}" for block in _set_aside(store, counts.set_aside)),
         *_trusted(counts),
+        *_budget(store),
         *reduced_lines(store),
         f"metrics   {DEFINITIONS[store.definition]}",
         *held_lines(grid.sweep),
@@ -241,9 +242,10 @@ def summary(store: Store, result: Progress) -> str:
     """What a run has done."""
     if not (result.ran or result.blocks or result.set_aside):
         scenarios = counted(result.cells * result.combinations, "scenario")
-        return f"{store.path}: complete already, {scenarios}"
+        return "\n".join([f"{store.path}: complete already, {scenarios}", *_budget(store)])
     counts = Counts.of(store)
     lines = [f"{store.path}: {_done(store, result)}", *_nearby(store, counts), *_trusted(counts)]
+    lines += _budget(store)
     lines += reduced_lines(store)
     return "\n".join(lines)
 
@@ -265,11 +267,23 @@ def _done(store: Store, result: Progress) -> str:
 def _nearby(store: Store, counts: Counts) -> Iterator[str]:
     """How many cells of a refined store were simulated, and what the others have."""
     if near := counts.cells.get("nearby"):
-        cells, budget = store.grid.cells, store.grid.most_runs
-        spent = f" (the whole budget of {budget:,})" if counts.done == budget else ""
+        cells = store.grid.cells
         simulated = f"{counts.done:,} of {cells:,} cells simulated, {_percent(counts.done, cells)}"
-        yield f"{'refined':{HEAD}}{simulated}{spent}"
+        yield f"{'refined':{HEAD}}{simulated}"
         yield f"{'':{HEAD}}{near:,} have the values of a simulated cell beside them"
+
+
+def _budget(store: Store) -> Iterator[str]:
+    """Whether its budget ended a refined run, and how to go on."""
+    level, refine = store.group.attrs.get(BUDGET_LEVEL), store.grid.sweep.refine
+    if level is None or refine is None:
+        return
+    budget = store.grid.most_runs
+    left = f"from level {level} of {refine.levels} on, boxes that differ are not halved"
+    yield f"{'budget':{HEAD}}{counted(budget, 'scenario')} ended the run: {left}"
+    if budget < MAX_RUNS:
+        more = min(2 * budget, store.grid.cells, MAX_RUNS)
+        yield f"{'':{HEAD}}{command('resume', store.path, '--budget', more)} goes on"
 
 
 def merged(store: Store) -> str:
