@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
     from sweeps.runner import OnProgress
+    from sweeps.spec.mistakes import SweepError
     from sweeps.spec.types import Sweep
     from sweeps.store.opening import Store
 
@@ -43,9 +44,20 @@ def load(sweep: "str | Path") -> "Sweep":
     """
     from sweeps.spec import reading
 
-    in_library = LIBRARY / f"{sweep}.toml"
-    known = isinstance(sweep, str) and "/" not in sweep and in_library.is_file()
-    return reading.load(in_library if known else Path(sweep))
+    path, is_name = Path(sweep), isinstance(sweep, str) and "/" not in sweep
+    if is_name and (LIBRARY / f"{sweep}.toml").is_file():
+        path = LIBRARY / f"{sweep}.toml"
+    elif is_name and path.suffix != ".toml" and not path.exists():
+        raise unknown(str(sweep))
+    return reading.load(path)
+
+
+def unknown(name: str) -> "SweepError":
+    """The error for a name that is neither a file nor a sweep of the library."""
+    from sweeps.spec.mistakes import SweepError, hint, printable
+
+    known = hint(name, sorted(path.stem for path in LIBRARY.glob("*.toml")))
+    return SweepError(f"{printable(name)}: is no file and no sweep of the library{known}")
 
 
 def run(
