@@ -2,6 +2,7 @@
 
 import difflib
 import operator
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from decimal import Decimal
 from numbers import Real
@@ -48,7 +49,9 @@ class UnknownFieldError(ParamsError, TypeError):
 def hint(
     word: str, known: Mapping[str, str], other_words: Mapping[str, Sequence[str]] = NO_OTHERS
 ) -> str:
-    """'; did you mean `x` (its meaning)?' if `word` resembles or describes known words, else all.
+    """'; did you mean `x` (its meaning)?' if `word` is near known words, else all of these.
+
+    It is near if it describes one, begins a part of one (`conv`, `lost`), or resembles one.
 
     `known` has the meaning of each, or an empty text; `other_words` what it is called elsewhere.
     """
@@ -58,11 +61,19 @@ def hint(
         for name, meaning in known.items()
         if given in (*meaning.lower().replace(",", "").split(), *other_words.get(name, ()))
     ]
-    near = difflib.get_close_matches(given, lower, n=1, cutoff=0.5)
+    begun = [
+        name
+        for name in known
+        if len(given) > 2 and any(part.startswith(given) for part in re.split("[_-]", name.lower()))
+    ]
+
+    def near(likeness: float) -> list[str]:
+        return [lower[name] for name in difflib.get_close_matches(given, lower, 1, likeness)]
+
     if given in lower:
         meant = [lower[given]]
-    else:
-        meant = described or [lower[name] for name in near]
+    else:  # at 0.5, conv is like Kenv; of two letters one may be wrong
+        meant = described or near(0.85) or begun or near(0.6 if len(given) > 2 else 0.5)
     if not meant:
         return "; known are " + ", ".join(known)
     names = [f"`{name}` ({known[name]})" if known[name] else f"`{name}`" for name in meant]

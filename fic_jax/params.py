@@ -1,6 +1,7 @@
 """A scenario: its numbers (`Params`, a pytree) and its choices (`Model`, static), both checked."""
 
 import dataclasses
+import operator
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
@@ -32,12 +33,13 @@ def _quantity(default: float, unit: str, meaning: str, bound: str = "finite") ->
     return field(default=default, metadata={"unit": unit, "meaning": meaning, "bound": bound})
 
 
-@jax.tree_util.register_dataclass
 @dataclass(frozen=True, repr=False)
 class Params(Displayed):
     """The numbers of one scenario (scalars), or of N scenarios ([N] leaves), in SI units.
 
     The defaults are the paper's: a rotation about one axis (Sec. IV). A sweep may vary each field.
+    Raises ParamsError for a text or a complex number. A leaf of a pytree may be anything else: JAX
+    wants tracers, shapes, None or a PartitionSpec there. What computes checks the numbers.
     """
 
     K0: Scalar = _quantity(100.0, "N*m/rad", "constant stiffness of the controller", "positive")
@@ -60,6 +62,11 @@ class Params(Displayed):
         """Raise UnknownFieldError for a field that Params does not have."""
         return _with_known_fields(cls, named)
 
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if isinstance(value, NO_NUMBERS):
+                real(name, value, QUANTITIES[name]["unit"])
+
     def _table(self) -> Table:
         rows = {name: row(name, value, QUANTITIES[name]) for name, value in vars(self).items()}
         papers = [
@@ -79,6 +86,25 @@ def meaning(about: Mapping[str, str]) -> str:
 
 
 QUANTITIES = {f.name: f.metadata for f in dataclasses.fields(Params)}
+NO_NUMBERS = (str, bytes, complex)
+_leaves = operator.attrgetter(*QUANTITIES)
+_KEYS = [jax.tree_util.GetAttrKey(name) for name in QUANTITIES]
+
+
+def _params_of(_: Any, leaves: Iterable[Any]) -> Params:
+    """Params with any leaves, unchecked: `jax.tree.map` may make labels of them."""
+    params = object.__new__(Params)
+    vars(params).update(zip(QUANTITIES, leaves, strict=True))
+    return params
+
+
+# `register_dataclass` would call the constructor, with its checks, which takes 11 us; this takes 5.
+jax.tree_util.register_pytree_with_keys(
+    Params,
+    lambda params: (tuple(zip(_KEYS, _leaves(params), strict=True)), None),
+    _params_of,
+    lambda params: (_leaves(params), None),
+)
 Record = TypeVar("Record")
 
 

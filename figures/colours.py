@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Colormap, ListedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
@@ -16,6 +17,9 @@ from figures import style
 from figures.cut import Cells
 from figures.style import EDGED
 from sweeps import maps
+from sweeps.store.format import LEVEL
+
+COUNTS = (LEVEL, "mode_switches")  # metrics that are whole numbers
 
 
 def pool(parts: Sequence[Cells]) -> NDArray[np.float64]:
@@ -38,6 +42,8 @@ def norm(part: Cells, values: NDArray[np.float64]) -> Normalize:
     """
     if part.choices:
         return Normalize(0.5, len(part.choices) + 0.5)
+    if part.metric == LEVEL:
+        return Normalize(0, max(values.max(initial=0), 1))
     low, high, log = maps.limits(part.metric, values, part.spacing)
     if log:
         # clip: an exact zero gets the lowest colour; without it the cell would be blank
@@ -46,6 +52,12 @@ def norm(part: Cells, values: NDArray[np.float64]) -> Normalize:
         return Normalize(low, high)
     ticks = MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
     return Normalize(ticks[0], ticks[-1])
+
+
+def whole_ticks(drawn: Axis, part: Cells, scale: Normalize) -> None:
+    """Put the ticks of a metric that counts at whole numbers; a log scale has no others."""
+    if part.metric in COUNTS and not isinstance(scale, LogNorm):
+        drawn.set_major_locator(MaxNLocator("auto", steps=[1, 2, 5, 10], integer=True))
 
 
 def choice_entries(part: Cells) -> dict[str, Patch]:
@@ -79,6 +91,7 @@ def bar(
     bar.outline.set_linewidth(0.5)
     bar.set_label(style.fold(part.label, length))
     bar.minorticks_off()
+    whole_ticks(bar.ax.yaxis, part, scale)
     level = maps.LEVELS.get(part.metric)
     if level and 0 < scale(level) < 1:
         bar.ax.axhline(level, color="white", lw=1.1, path_effects=EDGED)

@@ -154,6 +154,7 @@ def draw(points: Points) -> Figure:
         ax.set_xscale("log" if points.x.scale == "log" else "linear")
         if points.y is None:
             entries = _heights(ax, points, isinstance(norm, LogNorm))
+            colours.whole_ticks(ax.yaxis, points, norm)
         else:
             ax.set_yscale("log" if points.y.scale == "log" else "linear")
             entries = _colours(fig, ax, points, points.y, pool)

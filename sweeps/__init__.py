@@ -7,6 +7,7 @@
 - `reduce`: the statistics of a reduced store, from cells that are computed or read
 - `refine`: which cells of a refined store are simulated, round after round
 - `runner`: computes the blocks of a store; `provenance`: names the program and the machine
+- `stopping`: Ctrl-C during `sweeps.run`
 - `cluster`: the blocks of a store on the workers of a Dask client; `worker`: what each worker does
 - `devices`: starts JAX, or names the variable of the environment that keeps it from starting
 - `compile_cache`, `processor`: where compiled programs are kept, one folder for each processor
@@ -24,17 +25,16 @@ Imports point one way: cli -> paper -> runner -> {reduce, refine} -> store -> pl
 fic_jax.
 """
 
-import signal
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+import warnings
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from distributed import Client
 
-    from sweeps.runner import OnProgress, Progress
+    from sweeps.runner import OnProgress
+    from sweeps.spec.mistakes import SweepError
     from sweeps.spec.types import Sweep
     from sweeps.store.opening import Store
 
@@ -47,19 +47,25 @@ def load(sweep: "str | Path") -> "Sweep":
     Raises SweepError, with a line for each mistake in the file.
     """
     from sweeps.spec import reading
-    from sweeps.spec.mistakes import SweepError, hint, printable
+    from sweeps.spec.mistakes import SweepError
 
-    path = Path(sweep)
-    if isinstance(sweep, str) and "/" not in sweep and not sweep.endswith(".toml"):
-        library = {file.stem: file for file in sorted(LIBRARY.glob("*.toml"))}
-        path = library.get(sweep, path)
-        if not path.exists():
-            known = hint(sweep, library)
-            raise SweepError(f"{printable(sweep)}: is no file and no sweep of the library{known}")
+    path, is_name = Path(sweep), isinstance(sweep, str) and "/" not in sweep
+    if is_name and (LIBRARY / f"{sweep}.toml").is_file():
+        path = LIBRARY / f"{sweep}.toml"
+    elif is_name and path.suffix != ".toml" and not path.exists():
+        raise unknown(str(sweep))
     try:
         return reading.load(path)
     except SweepError as error:
         raise error.with_traceback(None) from None
+
+
+def unknown(name: str) -> "SweepError":
+    """The error for a name that is neither a file nor a sweep of the library."""
+    from sweeps.spec.mistakes import SweepError, hint, printable
+
+    known = hint(name, sorted(path.stem for path in LIBRARY.glob("*.toml")))
+    return SweepError(f"{printable(name)}: is no file and no sweep of the library{known}")
 
 
 def run(
@@ -83,50 +89,16 @@ def run(
     A block that could not be computed is set aside: `Counts.of(store).set_aside` names it. Raises
     SweepError for a wrong request, OSError if the disk or the cluster fails, KeyboardInterrupt
     after Ctrl-C, or a notebook's stop button, and the block that is being computed (at once after
-    a second one); finished blocks stay.
+    a second one); finished blocks stay. What may surprise in the sweep is a warning.
     """
     from sweeps.spec.mistakes import SweepError
+    from sweeps.stopping import stopped_between_blocks
 
     try:
-        with _stopped_between_blocks(on_progress or (lambda _: None)) as report:
+        with stopped_between_blocks(on_progress or (lambda _: None)) as report:
             return _run(sweep, path, client, chunk, report)
     except (SweepError, KeyboardInterrupt) as error:
         raise error.with_traceback(None) from None
-
-
-@contextmanager
-def _stopped_between_blocks(on_progress: "OnProgress") -> "Iterator[OnProgress]":
-    """A callback that calls `on_progress` with news, and raises after a block if SIGINT came.
-
-    An exception inside XLA's compiler may crash the process, and its traceback has 100 lines.
-    Other threads get no signals, and a handler of the user's own stays.
-    """
-    ours = (
-        threading.current_thread() is threading.main_thread()
-        and signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    )
-    requested, last = False, None
-
-    def request(_signum: int, _frame: object) -> None:
-        nonlocal requested
-        requested = True
-        signal.signal(signal.SIGINT, signal.default_int_handler)  # the second one raises at once
-
-    def report(progress: "Progress") -> None:
-        nonlocal last
-        if progress != last:  # a cluster reports twice a second, so that a stop is seen
-            last = progress
-            on_progress(progress)
-        if requested and progress.done < progress.cells:
-            raise KeyboardInterrupt("stopped after a block; the same call continues")
-
-    if ours:
-        signal.signal(signal.SIGINT, request)
-    try:
-        yield report
-    finally:
-        if ours:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _run(
@@ -139,6 +111,7 @@ def _run(
     import jax
 
     from sweeps import runner
+    from sweeps.spec.warnings import warnings_of
     from sweeps.store.create import taken_back_if_refused
     from sweeps.store.opening import open_store
 
@@ -156,6 +129,8 @@ def _run(
         jax.config.update("jax_enable_x64", sweep.bits == 64)
         with taken_back_if_refused(place):
             store = runner.start_or_reopen(place, sweep, chunk, sweep.bits, None)
+            for line in warnings_of(sweep, advice=False):
+                warnings.warn(f"{sweep.name}: {line}", stacklevel=3)
             run_blocks = None
             if client:
                 from sweeps.cluster import Cluster

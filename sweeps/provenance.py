@@ -51,7 +51,11 @@ def provenance(precision: int) -> dict[str, Any]:
 
 def differences(began: dict[str, Any], now: dict[str, Any]) -> list[str]:
     """What of `IDENTITY` differs between a store's attributes and those of this process."""
-    return [f"{k} was {began.get(k)}, is {now[k]}" for k in IDENTITY if began.get(k) != now[k]]
+    return [
+        f"{key} was {began.get(key) or 'none'}, is {now[key] or 'none'}"
+        for key in IDENTITY
+        if began.get(key) != now[key]
+    ]
 
 
 def llvmlite() -> str:

@@ -23,7 +23,7 @@ from sweeps.spec.rules import out_of_bounds
 from sweeps.spec.types import Sweep
 from sweeps.store.commit import Values, Writer, no_values, now, read_block, values_of, writing
 from sweeps.store.create import check_new, create
-from sweeps.store.format import DIVERGED, FAILED, OF_RUN, OK, attributes
+from sweeps.store.format import BUDGET_LEVEL, DIVERGED, FAILED, OF_RUN, OK, attributes
 from sweeps.store.ledger import DONE, SET_ASIDE, Row
 from sweeps.store.lock import Lock
 from sweeps.store.opening import Counts, Store, open_store
@@ -47,6 +47,7 @@ class Progress:
     set_aside: tuple[Row, ...] = ()  # blocks that this run could not compute
     combinations: int = 1  # scenarios of a cell
     refined: bool = False  # `cells` is the most that there may be, until the end
+    blocks: int = 0  # of a refined sweep, written by this run after all simulations
 
     def __str__(self) -> str:
         """How far the run is, in one line: `on_progress=print` shows it."""
@@ -199,24 +200,23 @@ def _run_rounds(store: Store, on_progress: OnProgress) -> Progress:
     progress = Progress(grid.most_runs, 0, refined=True)
     with writing(store) as (writer, _):
         counts = Counts.of(store)
-        if not counts.pending:  # a kill may have come before the last lines of `rounds`
-            progress = replace(progress, done=counts.done)
-            store.journal.clear()
+        if not counts.pending and "end" in store.group.attrs:
+            return replace(progress, cells=counts.done, done=counts.done)
         with closing(rounds(writer, simulate)) as steps:
-            for step in steps if counts.pending else ():
+            for step in steps:
                 progress = replace(
                     progress,
+                    cells=step.simulated if step.ended else grid.most_runs,
                     done=step.simulated,
                     ran=step.ran,
                     diverged=step.diverged,
+                    blocks=step.blocks,
                     seconds=time.perf_counter() - began,
                     set_aside=(*progress.set_aside, *step.rows),
                 )
                 on_progress(progress)
-        if not progress.set_aside:
-            progress = replace(progress, cells=progress.done)
-            if "end" not in store.group.attrs:
-                writer.end()
+        if not progress.set_aside and "end" not in store.group.attrs:
+            writer.end(**({} if step.left is None else {BUDGET_LEVEL: step.left}))
     return progress
 
 

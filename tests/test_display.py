@@ -92,7 +92,7 @@ def test_any_leaf_has_a_summary():
     ]
     for value, shown in leaves:
         assert summary(value) == shown
-        assert shown in repr(Params(K0=value))
+        assert shown in repr(jax.tree.map(lambda _, leaf=value: leaf, Params()))
 
 
 def test_tracers_are_named_in_every_transformation():
@@ -167,3 +167,10 @@ def test_a_store_shows_how_far_it_is_even_if_it_is_damaged(tmp_path):
     assert "ok" in Cells(store._repr_html_()).texts
     (path / "ledger.sqlite").unlink()
     assert "ledger.sqlite is missing" in repr(open_store(path))
+
+
+def test_a_refined_sweep_shows_its_coarse_grid():
+    lines = repr(sweeps.load("convergence-boundary")).splitlines()
+    assert "contact 2 x sigma 33 x Denv 33 = 2,178 scenarios of 1,000 steps, refined" in lines[0]
+    (row,) = (line for line in lines if line.startswith("  refine "))
+    assert "levels 5, budget 100,000" in row and "sigma, Denv halved where cells differ" in row

@@ -66,7 +66,7 @@ RUNNER = {
 ROOMS = {
     "fic_jax": {"fic_jax"},
     "fic_jax.lanes": {"fic_jax.lanes"},  # it could be a package of its own
-    "sweeps": {*RUNNER, "sweeps.cluster"},  # late, in `sweeps.run`
+    "sweeps": {*RUNNER, "sweeps.stopping", "sweeps.cluster"},  # late, in `sweeps.run`
     "sweeps.spec": SPEC,
     "sweeps.plan": PLAN,
     "sweeps.store": STORE,
@@ -78,6 +78,7 @@ ROOMS = {
     "sweeps.reduce": REDUCE,
     "sweeps.refine": REFINE,
     "sweeps.runner": RUNNER,
+    "sweeps.stopping": RUNNER,
     "sweeps.worker": RUNNER,
     "sweeps.cluster": {*RUNNER, "sweeps.worker"},
     "sweeps.merge": {*STORE, "sweeps.provenance"},

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sweeps import LIBRARY
+from sweeps import LIBRARY, unknown
 from sweeps.cli.arguments import SweepName
 from sweeps.cli.errors import complain, refuse
 
@@ -59,7 +59,7 @@ def find(what: str) -> Path:
 
     Refuses a store and a folder.
     """
-    from sweeps.spec.mistakes import command, hint, printable
+    from sweeps.spec.mistakes import command, printable
 
     given, path = Path(what), LIBRARY / f"{what}.toml"
     if is_store(what):
@@ -70,9 +70,7 @@ def find(what: str) -> Path:
     if path.is_file() and os.path.isfile(f"{what}.toml"):
         complain(f"warning: {what} is the library's sweep; {what}.toml is the file in this folder")
     if not path.is_file():
-        names = sorted(path.stem for path in LIBRARY.glob("*.toml"))
-        known = hint(what, names)
-        refuse(f"{printable(what)}: is no file and no sweep of the library{known}")
+        raise unknown(what)
     return path
 
 

@@ -13,8 +13,8 @@ from sweeps.plan.grid import Grid
 from sweeps.runner import Progress
 from sweeps.spec.digits import digits
 from sweeps.spec.mistakes import SweepError, command, printable
-from sweeps.spec.types import Sweep
-from sweeps.store.format import DEFINITIONS, DIVERGED, REFUSED, size
+from sweeps.spec.types import MAX_RUNS, Sweep
+from sweeps.store.format import BUDGET_LEVEL, DEFINITIONS, DIVERGED, REFUSED, size
 from sweeps.store.ledger import Row, intact
 from sweeps.store.opening import Counts, Store
 from sweeps.store.verify import Report
@@ -74,8 +74,12 @@ def reduced_lines(store: Store) -> list[str]:
         ok = _percent(cells.pop("ok", 0), whole)
         why = [f"{_percent(n, whole)} {word}" for word, n in cells.items()]
         texts.append(f"{name} {ok}" + (f" ({'; '.join(why)})" if why else ""))
-    allowed = f"where at most {_percent(reduce.untrusted, 1)} of the scenarios are not known"
-    return [*_in_lines("values", texts), f"{'':{HEAD}}{allowed} (`untrusted`)"]
+    value = "a trusted value" if store.grid.sweep.error_estimate else "a value"
+    needed = f"each of its scenarios has {value}"
+    if reduce.untrusted:
+        needed = f"at most {_percent(reduce.untrusted, 1)} of its scenarios lack {value}"
+    where = f"a cell has a value where {needed} (`untrusted = {reduce.untrusted:g}`)"
+    return [*_in_lines("values", texts), f"{'':{HEAD}}{where}"]
 
 
 def held_lines(sweep: Sweep) -> list[str]:
@@ -133,6 +137,7 @@ def status_lines(store: Store) -> list[str]:
         *(f"diverged  {scenario}" for scenario in diverged),
         *(f"failed    {block}" for block in _set_aside(store, counts.set_aside)),
         *_trusted(counts),
+        *_budget(store),
         *reduced_lines(store),
         f"metrics   {DEFINITIONS[store.definition]}",
         *held_lines(grid.sweep),
@@ -213,6 +218,8 @@ def _value(grid: Grid, dim: str, index: int) -> str:
 
 def progress_line(progress: Progress) -> str:
     """Rate and time left."""
+    if progress.blocks:
+        return f"{counted(progress.blocks, 'block')} written"
     if not progress.ran:
         return "compiling" if progress.done < progress.cells else "complete already"
     rate = progress.ran / progress.seconds
@@ -233,29 +240,50 @@ def log_line(progress: Progress) -> str:
 
 def summary(store: Store, result: Progress) -> str:
     """What a run has done."""
-    if not result.ran and not result.set_aside:
+    if not (result.ran or result.blocks or result.set_aside):
         scenarios = counted(result.cells * result.combinations, "scenario")
-        return f"{store.path}: complete already, {scenarios}"
+        return "\n".join([f"{store.path}: complete already, {scenarios}", *_budget(store)])
+    counts = Counts.of(store)
+    lines = [f"{store.path}: {_done(store, result)}", *_nearby(store, counts), *_trusted(counts)]
+    lines += _budget(store)
+    lines += reduced_lines(store)
+    return "\n".join(lines)
+
+
+def _done(store: Store, result: Progress) -> str:
+    """What a run has simulated, or only written, and in what time."""
+    took = f"in {_duration(result.seconds)}"
+    if not (result.ran or result.set_aside):
+        blocks = counted(result.blocks, "block")
+        return f"{counted(result.cells, 'scenario')} simulated before, {blocks} written {took}"
     ran = result.ran * result.combinations
     rate = ran / result.seconds
     steps = rate * store.grid.sweep.n_steps / 1e6
     speed = f", {rate:,.0f}/s ({steps:,.0f} M steps/s)" if steps >= 1 else ""
     diverged = f", {result.diverged:,} diverged" if result.diverged else ""
-    first = f"{counted(ran, 'scenario')} in {_duration(result.seconds)}{speed}{diverged}"
-    counts = Counts.of(store)
-    lines = [f"{store.path}: {first}", *_nearby(store, counts), *_trusted(counts)]
-    lines += reduced_lines(store)
-    return "\n".join(lines)
+    return f"{counted(ran, 'scenario')} {took}{speed}{diverged}"
 
 
 def _nearby(store: Store, counts: Counts) -> Iterator[str]:
     """How many cells of a refined store were simulated, and what the others have."""
     if near := counts.cells.get("nearby"):
-        cells, budget = store.grid.cells, store.grid.most_runs
-        spent = f" (the whole budget of {budget:,})" if counts.done == budget else ""
+        cells = store.grid.cells
         simulated = f"{counts.done:,} of {cells:,} cells simulated, {_percent(counts.done, cells)}"
-        yield f"{'refined':{HEAD}}{simulated}{spent}"
+        yield f"{'refined':{HEAD}}{simulated}"
         yield f"{'':{HEAD}}{near:,} have the values of a simulated cell beside them"
+
+
+def _budget(store: Store) -> Iterator[str]:
+    """Whether its budget ended a refined run, and how to go on."""
+    level, refine = store.group.attrs.get(BUDGET_LEVEL), store.grid.sweep.refine
+    if level is None or refine is None:
+        return
+    budget = store.grid.most_runs
+    left = f"from level {level} of {refine.levels} on, boxes that differ are not halved"
+    yield f"{'budget':{HEAD}}{counted(budget, 'scenario')} ended the run: {left}"
+    if budget < MAX_RUNS:
+        more = min(2 * budget, store.grid.cells, MAX_RUNS)
+        yield f"{'':{HEAD}}{command('resume', store.path, '--budget', more)} goes on"
 
 
 def merged(store: Store) -> str:

@@ -11,7 +11,7 @@ import typer
 
 from sweeps.cli import interruption
 from sweeps.cli.arguments import NewStore, StorePath
-from sweeps.cli.errors import complain, fail, system_errors_reported
+from sweeps.cli.errors import complain, fail, refuse, system_errors_reported
 from sweeps.cli.library import find, is_store, read, warn
 from sweeps.cli.process import importing
 from sweeps.cli.progress import run_with_progress
@@ -114,22 +114,33 @@ def resume(
         str | None,
         typer.Option(metavar="NAME|FILE", help="a larger sweep; computes only what is new"),
     ] = None,
+    budget: Annotated[
+        int | None, typer.Option(min=1, help="most scenarios of a refined sweep, more than before")
+    ] = None,
     dask: Dask = None,
 ) -> None:
     """Run the blocks of a store that are not done yet."""
     stop = interruption.stop_on_signals()
     with importing():
+        from sweeps.refine.budget import with_budget
         from sweeps.spec.reading import load
         from sweeps.store import extend as extension
 
-    file = find(extend) if extend else None
-    larger = load(file) if file else None
+    if extend and budget:
+        refuse("--extend and --budget: one of them; the larger sweep has its budget")
+    source = str(find(extend)) if extend else str(path)
+    larger = load(Path(source)) if extend else None
     with system_errors_reported(path):
         extension.recover(path)
         store = reopen(path)
         _refuse_refined(store.grid.sweep, dask)
+        if budget:
+            if not store.grid.sweep.refine:
+                refuse(f"--budget {budget}: {path} is not refined, and runs all its scenarios")
+            larger = store.sweep_again([f"budget={budget}"])
         if larger:
-            store = extension.extend(store, larger, str(file))
+            grown = with_budget if store.grid.sweep.refine else extension.extend
+            store = grown(store, larger, source)
             warn(larger, advice=False)  # a store keeps its dt and precision
             _warn_of_old_folder()
         else:
@@ -194,7 +205,7 @@ def _finish(store: "Store", stop: interruption.Stop, client: "Client | None") ->
     """Run a store to its end and print the result; an error leaves finished blocks as they are."""
     from sweeps.cli.messages import failed_blocks, interrupted, summary
     from sweeps.runner import run as run_store
-    from sweeps.store.opening import Counts
+    from sweeps.store.opening import Counts, open_store
 
     run_blocks = None
     if client:
@@ -209,6 +220,6 @@ def _finish(store: "Store", stop: interruption.Stop, client: "Client | None") ->
         # The stop came during the last block: only the time of the end is missing.
         result = run_store(store, lambda _: None)
     with system_errors_reported(store.path):
-        print(summary(store, result))
+        print(summary(open_store(store.path), result))
     if result.set_aside:
         fail("\n".join(failed_blocks(store, result)))

@@ -3,6 +3,7 @@
 - `boxes`: which boxes of the grid are halved, and which cells that needs
 - `table`: the values of all cells that were simulated, and the value of each that was not
 - `rounds`: computes round after round, and writes blocks
+- `budget`: gives a store that its budget ended a larger one
 
 The store has the finest grid. A box is a part of it between 2^d neighbouring cells of some level,
 its corners; level 0 is the grid of the sweep file. A box whose known cells differ is halved along

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Generator, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -31,6 +31,9 @@ class Step:
     simulated: int  # cells in all
     ran: int = 0  # by this run
     diverged: int = 0  # of these
+    blocks: int = 0  # written by this run, after all simulations
+    ended: bool = False  # the last one is written
+    left: int | None = None  # level of the first box that the budget did not suffice for
     rows: tuple[Row, ...] = ()  # of blocks that were just set aside
 
 
@@ -137,21 +140,23 @@ class _Run:
         self.seconds, self.write_took = 0.0, 0.0
         self.ran, self.diverged = 0, 0
         self.error = ""
+        self.left: int | None = None
 
     def rounds(self) -> Generator[Step]:
         yield Step(self.table.n)
-        cells, exhausted = self.boxes.coarse(), False
+        cells = self.boxes.coarse()
         while cells.size:
             yield from self._simulate(cells[self.table.row[cells] == NONE])
             if self.error:
                 return
             self.known.add(cells)
-            if exhausted:
+            if self.left is not None:
                 break
             proposal = self.boxes.propose(list(self.known.measures()))
             part, cells = self.boxes.within(proposal, self.known.cells, self.budget - self.known.n)
             self.boxes.halve(part)
-            exhausted = len(part) < len(proposal)
+            if len(part) < len(proposal):
+                self.left = int(proposal.levels[len(part)])
         yield from self._finish()
 
     def _simulate(self, cells: np.ndarray) -> Generator[Step]:
@@ -172,7 +177,7 @@ class _Run:
             yield self._step()
 
     def _step(self, *rows: Row) -> Step:
-        return Step(self.table.n, self.ran, self.diverged, rows)
+        return Step(self.table.n, self.ran, self.diverged, rows=rows)
 
     def _attempts(self, batch: np.ndarray) -> Values | None:
         for _ in range(ATTEMPTS):
@@ -206,7 +211,10 @@ class _Run:
     def _finish(self) -> Generator[Step]:
         """Give each cell a value, and write all blocks."""
         self.write()
-        for block in (i for i in range(self.grid.n_blocks) if i not in self.done):
+        todo = [block for block in range(self.grid.n_blocks) if block not in self.done]
+        for blocks, block in enumerate(todo, 1):
             self.writer.commit(self.table.done(block, self.boxes), Row(block, DONE))
-            yield self._step()
+            if blocks < len(todo):
+                yield replace(self._step(), blocks=blocks)
         self.journal.clear()
+        yield replace(self._step(), blocks=len(todo), ended=True, left=self.left)

@@ -350,9 +350,11 @@ class Sweep(Displayed, Record):
         return [name for name in self.held() if name not in {*self.constants, *self.model}]
 
     def _table(self) -> Table:
-        cells, n_steps = math.prod(self.dims.values()), f"{self.n_steps:,} steps"
-        dims = " x ".join(f"{name} {n}" for name, n in self.dims.items())
+        begun = self.model_copy(update={"refine": None}).dims  # what a refinement begins with
+        cells, n_steps = math.prod(begun.values()), f"{self.n_steps:,} steps"
+        dims = " x ".join(f"{name} {n}" for name, n in begun.items())
         title = f"Sweep {self.name}: {dims} = {cells:,} scenarios of {n_steps}"
+        title += ", refined" if self.refine else ""
         held, defaults = self.held(), self.defaults()
         texts = {name: ", ".join(c) for name, c in self.model.items() if isinstance(c, list)}
         texts |= {name: str(axis) for name, axis in self.axes.items() if isinstance(axis, Range)}
@@ -368,6 +370,11 @@ class Sweep(Displayed, Record):
         if self.reduce:
             best = f"; best {self.reduce.best} by {self.reduce.by}" if self.reduce.best else ""
             own.append(Row("reduce", f"over {', '.join(self.reduce.over)}{best}"))
+        if self.refine:
+            budget = f"{self.refine.budget:,}" if self.refine.budget else "none"
+            extent = f"levels {self.refine.levels}, budget {budget}"
+            meaning = f"{', '.join(self.refined)} halved where cells differ"
+            own.append(Row("refine", extent, meaning=meaning))
         return Table(title, own + time, "by default", [rows[name] for name in defaults])
 
     def axis_values(self, name: str, part: slice = slice(None)) -> np.ndarray:

@@ -8,8 +8,8 @@ Read the files in this order; each uses only those above it.
     ledger.py    ledger.sqlite: one row for each finished block, with the checksums of its files
     reduced.py   the variables of a reduced store
     format.py    what is on the disk: arrays, flags, attributes
-    opening.py   open a store, count it, read it
     journal.py   what a refined run has simulated, until its blocks are written
+    opening.py   open a store, count it, read it
     create.py    make an empty store, or build another: whole, or not at all
     commit.py    write one block
     extend.py    copy a store into a larger one

@@ -87,11 +87,11 @@ class Writer:
         fsync.publish(paths, suffix)
         self.ledger.insert([row])
 
-    def end(self) -> None:
-        """Write the time at which the store was finished into its attributes."""
+    def end(self, **attributes: int) -> None:
+        """Write the time at which the store was finished, and `attributes`, into its attributes."""
         path = self.store.path / "zarr.json"
         content = json.loads(path.read_bytes())
-        content["attributes"]["end"] = now()
+        content["attributes"] |= {"end": now()} | attributes
         encoded = json.dumps(content, indent=2).encode()
         # the ledger first: `verify --repair` restores what the ledger has
         self.ledger.insert_metadata([("zarr.json", encoded)])

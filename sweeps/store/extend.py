@@ -7,7 +7,7 @@ plan to places in the store, and `_gather` copies the cells of each block.
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +26,7 @@ from sweeps.store.create import (
     refuse_small_disk,
     write_empty,
 )
-from sweeps.store.format import DIVERGED, OK, attributes
+from sweeps.store.format import AT_END, DIVERGED, OK, attributes
 from sweeps.store.ledger import DONE, PARTLY, Row, intact
 from sweeps.store.opening import Store, open_store
 from sweeps.store.place import before_extension, place_of_store
@@ -54,9 +54,22 @@ def extend(store: Store, plan: Sweep, source: str) -> Store:
         problems = list(_losses(store.grid, grid))
     if problems:
         raise SweepError("\n".join(f"{source}: {problem}" for problem in problems))
+
+    def fill(writer: Writer) -> None:
+        for values, row in _blocks_with_known_cells(store, grid):
+            writer.commit(values, row)
+
+    return replaced(store, grid, fill)
+
+
+def replaced(store: Store, grid: Grid, fill: Callable[[Writer], None]) -> Store:
+    """A store of another plan in the place of `store`, with what `fill` writes; its notes stay.
+
+    It takes the name once all of it is on the disk. Raises SweepError, OSError.
+    """
     path, partial = store.path, partial_of(store.path)
     refuse_small_disk(path, grid, store.dtype)
-    of_sweep = {*attributes(grid), "coordinates", "end"}
+    of_sweep = {*attributes(grid), "coordinates", *AT_END}
     made_by = {k: v for k, v in store.group.attrs.asdict().items() if k not in of_sweep}
     # In this order the new store is locked until its ledger has a checksum.
     with building(partial), writing(store):
@@ -65,9 +78,7 @@ def extend(store: Store, plan: Sweep, source: str) -> Store:
         if wrong:  # we would copy another block's numbers
             raise store.damaged(f"{wrong:,} files of finished blocks are not as written")
         write_empty(partial, grid, made_by | {"extended": now()})
-        writer = Writer(open_store(partial))
-        for values, row in _blocks_with_known_cells(store, grid):
-            writer.commit(values, row)
+        fill(Writer(open_store(partial)))
         fsync.sync_tree(partial)
         foreign = foreign_files(store)
         path.rename(before_extension(path))

@@ -45,6 +45,9 @@ ESTIMATE = (
     "gives a finite metric, NaN where one left the finite numbers."
 )
 LEVEL_MEANING = "how often the coarse grid was halved around the cell"
+# An attribute of a refined store that its budget ended: the level from which on boxes were left.
+BUDGET_LEVEL = "budget_ended_at_level"
+AT_END = ("end", BUDGET_LEVEL)  # attributes that a run writes when it has finished
 COORDINATE_CHUNK = 1_000_000  # values
 # All chunks of an array in one folder: one scan lists them, one fsync keeps their names.
 FLAT: Any = {"name": "default", "separator": "."}

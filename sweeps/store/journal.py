@@ -2,11 +2,14 @@
 
 The cells of a batch lie all over the grid. So they are added in files of their own, and no block is
 written twice: a kill never costs what was simulated before. A file begins with the SHA-256 of the
-store's record and of its rest, an uncompressed NPZ of cells and variables.
+store's record and of its rest, an uncompressed NPZ of cells and variables. The ledger has the
+number of files, so that a deleted one is missed.
 """
 
 import hashlib
 import io
+import itertools
+import os
 import re
 import zipfile
 from collections.abc import Iterator
@@ -16,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from sweeps.store import fsync
+from sweeps.store.ledger import Ledger
 
 NAME = re.compile(r"simulated\.(\d{1,9})")
 CELLS = "cells"
@@ -26,24 +30,31 @@ Simulated = tuple[np.ndarray, dict[str, np.ndarray]]  # numbers of cells, variab
 
 @dataclass(frozen=True)
 class Journal:
-    """The files of a store, in the order in which they were written."""
+    """The files of a store, numbered from 1."""
 
     path: Path  # of the store
     record: str  # SHA-256 of its sweep
+    ledger: Ledger | None  # None in format 1, which has no journal
 
     def files(self) -> list[Path]:
-        """The files, the oldest first."""
+        """The files, by number."""
         found = ((NAME.fullmatch(file.name), file) for file in self.path.iterdir())
         return [file for _, file in sorted((int(m[1]), file) for m, file in found if m)]
+
+    def missing(self) -> list[str]:
+        """The names of the files that somebody has deleted. Raises LedgerError."""
+        return [file.name for file in self._numbered() if not os.path.lexists(file)]
 
     def append(self, cells: np.ndarray, values: dict[str, np.ndarray]) -> None:
         """Add cells and their values. After the return a power cut loses none. Raises OSError."""
         body = io.BytesIO()
         np.savez(body, allow_pickle=False, **{CELLS: cells}, **values)
         content = body.getvalue()
-        last = max((int(file.suffix[1:]) for file in self.files()), default=0)
-        path = self.path / f"simulated.{last + 1}"
+        free = (self._file(n) for n in itertools.count(1))
+        path = next(file for file in free if not os.path.lexists(file))
         fsync.write({path: self._digest(content) + content})
+        if self.ledger:  # after the file: a kill between the two loses nothing
+            self.ledger.count_files(max(len(self._numbered()), int(path.suffix[1:])))
 
     def read(self) -> Iterator[Simulated]:
         """What the files have; one that is damaged is left out."""
@@ -57,9 +68,19 @@ class Journal:
 
     def clear(self) -> None:
         """Delete the files: each block has its values. Raises OSError."""
+        if self.ledger:
+            self.ledger.count_files(0)
         for file in self.files():
             file.unlink()
         fsync.sync(self.path)
+
+    def _numbered(self) -> list[Path]:
+        """The files that must be there."""
+        n = self.ledger.files() if self.ledger else 0
+        return [self._file(i + 1) for i in range(n)]
+
+    def _file(self, number: int) -> Path:
+        return self.path / f"simulated.{number}"
 
     def _read(self, file: Path) -> Simulated | None:
         if file.is_symlink() or not file.is_file():

@@ -129,6 +129,15 @@ class Ledger:
                     (path, body, copy, _digest(path, body)),
                 )
 
+    def files(self) -> int:
+        """The number of files in the store's journal."""
+        return sum(number for (number,) in self._select("PRAGMA user_version"))
+
+    def count_files(self, number: int) -> None:
+        """Write the number of files in the journal: SQLite's header has a number for its user."""
+        with _opened(self.path) as database:
+            database.execute(f"PRAGMA user_version = {number:d}")
+
     def rows(self) -> Iterator[Row]:
         """The row of each block, in order. Raises LedgerError at the first damaged one."""
         return (_row(*record) for record in self._select(BLOCKS))

@@ -23,6 +23,8 @@ from sweeps.spec.reading import validate
 from sweeps.spec.types import Sweep
 from sweeps.store import format as store_format
 from sweeps.store.format import (
+    AT_END,
+    BUDGET_LEVEL,
     DEFINITION,
     DEFINITIONS,
     DIVERGED,
@@ -76,11 +78,16 @@ class Store(display.Displayed):
         rows = [
             display.Row("sweep", f"{sweep.name}: {dims}, {self.dtype}"),
             *cells,
+            *self._budget(),
             display.Row(
                 "variables", textwrap.shorten(", ".join(self.variables), 70, placeholder=" ...")
             ),
         ]
         return display.Table(f"Store {self.path}; xarray.open_zarr(store.path) reads it", rows)
+
+    def _budget(self) -> Iterator[display.Row]:
+        if BUDGET_LEVEL in self.group.attrs:
+            yield display.Row("budget", f"ended it at level {self.group.attrs[BUDGET_LEVEL]}")
 
     @property
     def dtype(self) -> str:
@@ -105,7 +112,7 @@ class Store(display.Displayed):
     @property
     def journal(self) -> Journal:
         """What a refined run has simulated, until its blocks are written."""
-        return Journal(self.path, str(self.group.attrs["sweep_sha256"]))
+        return Journal(self.path, str(self.group.attrs["sweep_sha256"]), self.ledger)
 
     def array(self, name: str) -> zarr.Array[Any]:
         """A variable or a coordinate on the disk."""
@@ -418,8 +425,8 @@ def _matches(store: Store, expected: dict[str, Any]) -> bool:
 def as_written(path: Path, file: MetadataFile) -> bool:
     """Whether a metadata file is as the ledger has it.
 
-    The root's zarr.json may lack `end`: a finished run writes it to the ledger first, and a kill
-    may come in between.
+    The root's zarr.json may lack what a finished run writes, to the ledger first: a kill may come
+    in between.
     """
     place = path / file.path
     if intact(place, file.checksum):
@@ -429,7 +436,8 @@ def as_written(path: Path, file: MetadataFile) -> bool:
     try:
         with place.open("rb") as opened:  # not all of it: it may have any size
             recorded, found = json.loads(file.content), json.loads(opened.read(LARGEST_RECORD))
-        return bool(recorded["attributes"].pop("end")) and recorded == found
+        ended = [recorded["attributes"].pop(name, None) for name in AT_END]
+        return any(ended) and recorded == found
     except (ValueError, KeyError, RecursionError):
         return False
 

@@ -73,8 +73,10 @@ def verify(path: Path) -> Report:
         return Report(None, len(files), tuple(problems))
     store = open_store(path)
     problems += [problem for row in rows for problem in _block_problems(store, row)]
-    how = "is not as it was written; a run simulates its cells again"
-    problems += [Problem(one.name, how, repairable=False) for one in store.journal.damaged()]
+    gone = [] if damaged else store.journal.missing()
+    for name in (*gone, *(file.name for file in store.journal.damaged())):
+        how = f"{_how(path / name)}; a run simulates its cells again"
+        problems.append(Problem(name, how, repairable=False))
     if "end" in store.group.attrs:  # a finished store has a row for each block
         missing = set(store.grid.own) - {row.block for row in rows}
         problems += [Problem(LEDGER, f"has no row of block {b}", b) for b in sorted(missing)]

@@ -58,6 +58,8 @@ def test_a_store_is_reduced_plotted_exported_and_verified(run, monkeypatch):
     status = typed("status", "small.zarr").stdout
     assert "\nreduced over Td: K0 2 x Kenv 3 = 6 cells\n" in status
     assert "\nvalues    nmse 100 %, easy 100 %\n" in status
+    value = "a cell has a value where each of its scenarios has a value (`untrusted = 0`)\n"
+    assert value in status and value in ended.stdout
     assert "complete already, 18 scenarios" in typed("resume", "all-reduced.zarr").stdout
 
 
@@ -225,7 +227,9 @@ def test_a_store_with_missing_scenarios_is_not_reduced_unless_asked(run, monkeyp
         assert (ended.code, ended.stdout) == (2, "")
         assert f"{store}: " in ended.stderr and message in ended.stderr
         assert len(ended.stderr.splitlines()) == 1
-    assert typed("reduce", "half.zarr", *options, "--untrusted", "0.9").code == 0
+    allowed = typed("reduce", "half.zarr", *options, "--untrusted", "0.9")
+    said = "where at most 90 % of its scenarios lack a value (`untrusted = 0.9`)"
+    assert allowed.code == 0 and said in allowed.stdout
     assert typed("resume", "half.zarr").code == 0
     assert typed("reduce", "half.zarr", *options, "--out", "whole-reduced.zarr").code == 0
 

@@ -1,5 +1,6 @@
 """`[refine]` on the command line, and what one can get wrong about it."""
 
+import itertools
 import re
 
 import numpy as np
@@ -7,6 +8,9 @@ import pandas as pd
 import pytest
 import xarray as xr
 
+from sweeps.cli import interruption
+from sweeps.store.commit import Writer
+from sweeps.store.opening import Counts, open_store
 from tests.command import typed
 
 BEGIN = """
@@ -140,13 +144,85 @@ def test_what_does_not_go_together_is_refused(folder, arguments, words):
     assert not list(folder.glob("*.zarr"))
 
 
+def test_a_budget_that_ended_a_run_is_named_and_can_be_raised(folder):
+    said = (
+        "budget    62 scenarios ended the run: from level 0 of 2 on, boxes that differ are not "
+        "halved\n          `fic-sweep resume border.zarr --budget 124` goes on\n"
+    )
+    for command in (
+        ("run", "border.toml", "--set", "budget=62"),
+        ("status", "border.zarr"),
+        ("resume", "border.zarr"),
+    ):
+        assert said in typed(*command).stdout
+    assert Counts.of(open_store(folder / "border.zarr")).done < 62  # not hit exactly
+    more = typed("resume", "border.zarr", "--budget", "120").stdout
+    assert "ended the run: from level 1 of 2 on" in more and "--budget 240`" in more
+    (folder / "more.toml").write_text(f"{BEGIN}{TABLE}budget = 500\n")
+    last = typed("resume", "border.zarr", "--extend", "more.toml").stdout
+    assert "of 578 cells simulated" in last and "budget" not in last
+    assert "budget    " not in typed("status", "border.zarr").stdout
+    (folder / "plain.toml").write_text(BEGIN.replace("border", "plain"))
+    assert typed("run", "plain.toml").code == 0
+    for arguments, words in (
+        (("border.zarr", "--budget", "500"), "must be more than the store's 500, but is 500"),
+        (("border.zarr", "--budget", "9"), "must be at least 50, the scenarios of the coarse"),
+        (("border.zarr", "--budget", "501"), "nothing is left to halve"),
+        (("border.zarr", "--budget", "0"), "must be greater than or equal to 1"),
+        (("border.zarr", "--budget", "9", "--extend", "more.toml"), "--budget: one of them"),
+        (("plain.zarr", "--budget", "9"), "--budget 9: plain.zarr is not refined"),
+    ):
+        ended = typed("resume", *arguments)
+        assert ended.code == 2 and words in ended.stderr, ended.stderr
+        assert len(ended.stderr.splitlines()) == 1
+
+
 def test_a_refined_store_is_neither_reduced_nor_extended(ran, monkeypatch):
     monkeypatch.chdir(ran[0])
     reduced = typed("reduce", "border.zarr", "--over", "K0", "--max", "nmse")
     assert reduced.code == 2 and "most of its cells were not simulated" in reduced.stderr
     (ran[0] / "plain.toml").write_text(BEGIN)
-    for table in ("", TABLE):
+    other = TABLE.replace("levels = 2", "levels = 3")
+    for table, key in (("", "refine"), (TABLE, "refine.budget"), (other, "refine")):
         (ran[0] / "more.toml").write_text(BEGIN + table)
         more = typed("resume", "border.zarr", "--extend", "more.toml")
-        assert more.code == 2 and "a refined sweep can't be extended" in more.stderr
+        assert more.code == 2 and more.stderr.startswith(f"fic-sweep: more.toml: `{key}` must be ")
     assert typed("resume", "border.zarr", "--dask", "local:2").code == 2
+
+
+def interrupted_at(monkeypatch, number):
+    """Request a stop as the run writes its block of this number; 0: before it writes one."""
+    calls, commit = itertools.count(), Writer.commit
+
+    def stopped(writer, values, row):
+        if number == 0:
+            raise KeyboardInterrupt
+        row = commit(writer, values, row)
+        if next(calls) + 1 == number:
+            stop.requested = True
+        return row
+
+    stop = interruption.Stop()
+    monkeypatch.setattr(interruption, "Stop", lambda: stop)
+    monkeypatch.setattr(Writer, "commit", stopped)
+
+
+def test_a_run_that_only_writes_blocks_says_so(folder, monkeypatch):
+    with monkeypatch.context() as patch:
+        interrupted_at(patch, 0)
+        ended = typed("run", "border.toml", "--chunk", "200")
+    assert ended.code == 1 and "`fic-sweep resume border.zarr` does the rest" in ended.stderr
+    n = Counts.of(open_store(folder / "border.zarr")).done
+    with monkeypatch.context() as patch:
+        interrupted_at(patch, 2)
+        assert typed("resume", "border.zarr").code == 1
+    said = typed("resume", "border.zarr").stdout
+    assert f"border.zarr: {n} scenarios simulated before, 2 blocks written in " in said
+    assert f"refined   {n} of 578 cells simulated" in said
+    assert f"complete already, {n} scenarios" in typed("resume", "border.zarr").stdout
+
+
+def test_a_stop_at_the_last_block_comes_too_late(folder, monkeypatch):
+    interrupted_at(monkeypatch, 4)
+    ended = typed("run", "border.toml", "--chunk", "200")
+    assert ended.code == 0 and re.match(r"border.zarr: \d+ scenarios in ", ended.stdout)

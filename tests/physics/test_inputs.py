@@ -217,6 +217,35 @@ def test_what_is_no_real_number_is_refused_by_its_field(kind, entry):
         ENTRIES[entry](Params(Td=NO_NUMBERS[kind]))
 
 
+@pytest.mark.parametrize("value", ["a", b"a", np.str_("5"), 1j, np.complex128(2)])
+def test_a_text_and_a_complex_number_are_refused_when_params_are_made(value):
+    for make in (lambda: Params(1.0, Td=value), lambda: replace(P, Td=value)):
+        with pytest.raises(
+            ParamsError, match=r"^`Td` must be a real number in N\*m or an array of"
+        ):
+            make()
+
+
+def test_jax_may_put_anything_into_the_leaves():
+    shape = jax.ShapeDtypeStruct((3,), np.float32)
+    for leaf in (None, object(), shape, jax.P("x"), 0, True):
+        assert Params(K0=leaf).K0 is leaf
+    leaves, structure = jax.tree.flatten(P)
+    for leaf in ("train", 1j, object(), shape, jax.P("x"), None):
+        assert jax.tree.unflatten(structure, [leaf] * len(leaves)).v_init is leaf
+    labels = jax.tree_util.tree_map_with_path(lambda path, _: jax.tree_util.keystr(path), P)
+    assert labels.K0 == ".K0" and pickle.loads(pickle.dumps(labels)).gap == ".gap"
+    axes = Params(**dict.fromkeys(vars(P)) | {"K0": 0})
+    many = replace(P, K0=np.arange(1.0, 4.0))
+    assert jax.vmap(lambda p: p.K0 * p.Td, in_axes=(axes,))(many).shape == (3,)
+    assert jax.eval_shape(jax.jit(lambda p: replace(p, Td=p.K0)), P).Td.shape == ()
+
+
+def test_unflatten_calls_no_constructor(monkeypatch):
+    monkeypatch.setattr(Params, "__init__", lambda *_, **__: 1 / 0)
+    assert jax.tree.map(lambda leaf: 2 * leaf, P).Td == 2 * P.Td
+
+
 @pytest.mark.parametrize(
     "values",
     [

@@ -1,6 +1,7 @@
 """Refined stores: the plain grid's bits and border, however the run was interrupted."""
 
 import itertools
+import re
 import shutil
 import signal
 import subprocess
@@ -15,9 +16,11 @@ from sweeps import runner
 from sweeps.plan.grid import Grid
 from sweeps.plan.shard import Shard
 from sweeps.refine import rounds
+from sweeps.refine.budget import with_budget
 from sweeps.refine.rounds import WAIT
 from sweeps.spec.mistakes import SweepError
 from sweeps.spec.reading import parse
+from sweeps.store.commit import Writer
 from sweeps.store.extend import extend
 from sweeps.store.format import DIVERGED, FAILED, NEAR, NOT_RUN, OK
 from sweeps.store.journal import Journal
@@ -349,6 +352,29 @@ def test_a_damaged_journal_is_named_and_its_cells_are_simulated_again(
     assert contents(path) == contents(quick)
 
 
+@pytest.mark.parametrize("deleted", [(1,), (2, 4), (4,), (1, 2, 3, 4)])
+def test_a_deleted_file_of_the_journal_is_missed(tmp_path, quick, each_batch, monkeypatch, deleted):
+    path = tmp_path / "a.zarr"
+    with monkeypatch.context() as patch:
+        killed_at(patch, 5)
+        with pytest.raises(Killed):
+            runner.run(runner.start(path, QUICK, 60, 32), quiet)
+    assert not verify(path).problems
+    for number in deleted:
+        (path / f"simulated.{number}").unlink()
+    names = [f"simulated.{number}" for number in deleted]
+    assert [problem.what for problem in verify(path).problems] == names
+    assert verify(path).problems[0].how == "is missing; a run simulates its cells again"
+    with monkeypatch.context() as patch:
+        killed_at(patch, 2)
+        with pytest.raises(Killed):
+            runner.run(open_store(path), quiet)
+    left = [problem.what for problem in verify(path).problems]
+    assert left == names[1:]  # the first one has been written again
+    runner.run(open_store(path), quiet)
+    assert contents(path) == contents(quick) and not verify(path).problems
+
+
 def test_a_journal_of_another_sweep_is_not_read(tmp_path, each_batch, monkeypatch):
     names = ("a.zarr", "b.zarr")
     for name, plan in zip(names, (QUICK, QUICK.model_copy(update={"name": "other"})), strict=True):
@@ -396,6 +422,72 @@ def test_a_budget_ends_the_run(memory, full):
     assert xr.open_zarr(path).attrs["refined_axes"] == "sigma Kenv"
 
 
+def with_refine(plan, **changes):
+    return plan.model_copy(update={"refine": plan.refine.model_copy(update=changes)})
+
+
+def ended_at(path):
+    return xr.open_zarr(path).attrs.get("budget_ended_at_level")
+
+
+@pytest.mark.parametrize("simulations", [2, None])
+def test_a_larger_budget_goes_on(tmp_path, quick, each_batch, monkeypatch, simulations):
+    """Of a run that its budget ended, or that was killed: with the bits of a run that had it."""
+    path, few = tmp_path / "a.zarr", with_refine(QUICK, budget=40)
+    store = runner.start(path, few, 60, 32)
+    with monkeypatch.context() as patch:
+        killed_at(patch, simulations)
+        if simulations:
+            with pytest.raises(Killed):
+                runner.run(store, quiet)
+        else:
+            runner.run(store, quiet)
+    before = Counts.of(open_store(path)).done
+    assert 0 < before <= 40 and (ended_at(path) is None) == bool(simulations)
+    note = path / "note.txt"
+    for budget in (60, None):
+        note.write_text("mine")
+        plan = with_refine(QUICK, budget=budget)
+        store = with_budget(open_store(path), plan, "more")
+        assert Counts.of(store).done == before and not verify(path).problems
+        assert note.read_text() == "mine"
+        note.unlink()
+        result = runner.run(store, quiet)
+        assert before + result.ran == result.done
+        fresh = complete(tmp_path / f"{budget}.zarr", plan, chunk=60).path
+        assert contents(path) == contents(fresh)
+        assert (ended_at(path) is None) == (budget is None)
+        before = result.done
+    assert contents(path) == contents(quick)
+
+
+def test_what_is_no_larger_budget(memory, quick):
+    store = open_store(quick)
+    for plan, line in (
+        (QUICK, "`refine.budget` must be more than the store's 561, but is 561."),
+        (with_refine(QUICK, levels=2), "`refine` must be as in the store"),
+        (QUICK.model_copy(update={"metrics": ["nmse"]}), "`metrics` must be as in the store"),
+        (QUICK.model_copy(update={"precision": 64}), "`precision` must be that of the store, 32."),
+    ):
+        with pytest.raises(SweepError, match=f"more: {re.escape(line)}"):
+            with_budget(store, plan, "more")
+    enough = with_refine(QUICK, budget=560)
+    path = complete(memory / "enough.zarr", enough).path
+    with pytest.raises(SweepError, match="nothing is left to halve"):
+        with_budget(open_store(path), QUICK, "more")
+
+
+def test_a_kill_before_the_last_lines_of_a_run_that_its_budget_ended(tmp_path, monkeypatch):
+    path, few = tmp_path / "a.zarr", with_refine(QUICK, budget=40)
+    with monkeypatch.context() as patch:
+        patch.setattr(Writer, "end", lambda *_, **__: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            runner.run(runner.start(path, few, 60, 32), quiet)
+    assert ended_at(path) is None
+    assert runner.run(open_store(path), quiet).ran == 0
+    assert ended_at(path) in (0, 1, 2) and "end" in open_store(path).group.attrs
+
+
 def test_a_metric_that_changes_fast(memory):
     plan = parse(REFINED + "classes = []\nrelative = { nmse = 0.5 }\n", "refined")
     data = xr.open_zarr(complete(memory / "metric.zarr", plan).path)
@@ -432,3 +524,14 @@ def test_a_picture_says_what_was_simulated(border, small):
     line = choose(dataset(small), x="K0", metric="nmse", at={"Kenv": 100.0})
     texts = [t.get_text() for t in draw(line).legends[0].texts]
     assert any("of cells simulated" in text for text in texts)
+
+
+def test_a_picture_of_levels_has_whole_ticks(border, tmp_path):
+    few = tmp_path / "few.zarr"
+    complete(few, parse(REFINED.replace("levels = 3", "levels = 1"), "refined"))
+    for path, last in ((border, 3), (few, 1)):
+        bar = draw(choose(dataset(path), x="sigma", y="Kenv", metric="level")).axes[1]
+        assert bar.get_ylim() == (0, last)
+        assert bar.get_yticks().tolist() == list(range(last + 1))
+    line = draw(choose(dataset(few), x="sigma", metric="level")).axes[0]
+    assert set(line.get_yticks()) <= {-1, 0, 1, 2}

@@ -4,10 +4,11 @@ import re
 
 import pytest
 
-from sweeps.spec.mistakes import SweepError
+from fic_jax import CHOICES, QUANTITIES
+from sweeps.spec.mistakes import SweepError, hint
 from sweeps.spec.reading import parse
 from sweeps.spec.rules import out_of_bounds
-from sweeps.spec.types import STORED
+from sweeps.spec.types import STORED, Reduction, Refinement, Sweep, Time
 
 GOOD = 'name = "a"\n[axes]\nK0 = { log = [1.0, 1000.0], n = 4 }\n'
 SAMPLE = 'name = "a"\n[sample]\nn = 9\n'
@@ -168,3 +169,57 @@ def test_a_size_may_reach_its_limit(largest, too_large, message):
 def test_every_stored_metric_may_be_named():
     """The limit of a list's length leaves room for all of them."""
     assert parse(f"metrics = {list(STORED)}\n" + GOOD, "f").metrics == list(STORED)
+
+
+FIELDS = list(QUANTITIES)
+KEYS = list(Sweep.model_fields)
+
+
+@pytest.mark.parametrize(
+    ("word", "known", "meant"),
+    [
+        ("kenv", FIELDS, ["Kenv"]),
+        ("K_env", FIELDS, ["Kenv"]),
+        ("K", FIELDS, ["K0"]),
+        ("Den", FIELDS, ["Denv"]),
+        ("vinit", FIELDS, ["v_init"]),
+        ("init", FIELDS, ["x_init", "v_init"]),
+        ("stiffness", FIELDS, ["K0", "Kenv"]),
+        ("mass", FIELDS, ["I"]),
+        ("nmse", FIELDS, []),
+        ("conv", FIELDS, []),
+        ("level", FIELDS, []),
+        ("nmsee", STORED, ["nmse"]),
+        ("mse", STORED, ["nmse"]),
+        ("error", STORED, ["steady_error"]),
+        ("peak", STORED, ["peak_torque"]),
+        ("conv", [*STORED, *FIELDS], ["convergence_time"]),
+        ("lost", STORED, ["contact_lost"]),
+        ("contact_loss", STORED, ["contact_lost"]),
+        ("contact", STORED, ["contact_time", "contact_lost"]),
+        ("settles", STORED, []),
+        ("K0", STORED, []),
+        ("nms", STORED, ["nmse"]),
+        ("k3", FIELDS, ["K0"]),
+        ("metric", KEYS, ["metrics"]),
+        ("axis", KEYS, ["axes"]),
+        ("const", KEYS, ["constants"]),
+        ("prec", KEYS, ["precision"]),
+        ("bits", KEYS, ["precision"]),
+        ("lvels", Refinement.model_fields, ["levels"]),
+        ("max_runs", Refinement.model_fields, []),
+        ("class", Refinement.model_fields, ["classes"]),
+        ("maximum", Reduction.model_fields, ["max"]),
+        ("n_steps", Reduction.model_fields, []),
+        ("tend", Time.model_fields, ["t_end"]),
+        ("steps", Time.model_fields, []),
+        ("contakt", CHOICES, ["contact"]),
+        ("solver", CHOICES, []),
+        ("boundary", ["atlas", "convergence-boundary"], ["convergence-boundary"]),
+        ("atlsa", ["atlas", "convergence-boundary"], ["atlas"]),
+    ],
+)
+def test_a_hint_is_near_or_there_is_none(word, known, meant):
+    said = hint(word, known)
+    named = re.findall("`(.*?)`", said) if "did you mean" in said else []
+    assert named == meant, said
