@@ -66,14 +66,13 @@ def hint(
         for name in known
         if len(given) > 2 and any(part.startswith(given) for part in re.split("[_-]", name.lower()))
     ]
-
-    def near(likeness: float) -> list[str]:
-        return [lower[name] for name in difflib.get_close_matches(given, lower, 1, likeness)]
-
     if given in lower:
         meant = [lower[given]]
-    else:  # at 0.5, conv is like Kenv; of two letters one may be wrong
-        meant = described or near(0.85) or begun or near(0.6 if len(given) > 2 else 0.5)
+    else:  # of two letters one may be wrong
+        closest = difflib.get_close_matches(given, lower, 1, 0.6 if len(given) > 2 else 0.5)
+        sure = difflib.get_close_matches(given, closest, 1, 0.85)  # at 0.5, conv is like Kenv
+        near = [lower[name] for name in closest]
+        meant = described or (near if sure else begun or near)
     if not meant:
         return "; known are " + ", ".join(known)
     names = [f"`{name}` ({known[name]})" if known[name] else f"`{name}`" for name in meant]

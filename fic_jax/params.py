@@ -1,6 +1,7 @@
 """A scenario: its numbers (`Params`, a pytree) and its choices (`Model`, static), both checked."""
 
 import dataclasses
+import inspect
 import operator
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -184,6 +185,11 @@ class Model:
         """The same choices with the integrator `rk4_events`."""
         return dataclasses.replace(self, integrator="rk4_events")
 
+
+# `help`, and completion in a notebook, would show the arguments of `__new__`.
+for _record in (Params, Model):
+    _, *_arguments = inspect.signature(_record.__init__).parameters.values()
+    setattr(_record, "__signature__", inspect.Signature(_arguments))  # noqa: B010  mypy
 
 CHOICES: dict[str, tuple[str, ...]] = {
     "law": get_args(Law),

@@ -125,6 +125,7 @@ def start_or_reopen(
     other = [word for key, word in OF_RUN.items() if found.group.attrs.get(key) != wanted[key]]
     other += ["--shard"] if found.grid.shard != shard else []
     other += ["--precision"] if found.dtype != f"float{precision}" else []
+    other = ["sweep"] if "sweep" in other else other  # all else follows from it
     if other:
         raise SweepError(f"{path}: was begun with another {', '.join(other)}; --out names another")
     store = reopen(path, precision)

@@ -1,5 +1,6 @@
 """How far a run is, while it runs: a bar on a terminal, a line every ten seconds in a log."""
 
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -22,7 +23,9 @@ def run_with_progress(
 
     Raises KeyboardInterrupt on a requested stop.
     """
-    return (_with_bar if sys.stdout.isatty() else _with_lines)(store, stop, run_blocks)
+    # a notebook's `!` is a terminal that does not erase the bar's line
+    bar = sys.stdout.isatty() and "JPY_PARENT_PID" not in os.environ
+    return (_with_bar if bar else _with_lines)(store, stop, run_blocks)
 
 
 @contextmanager

@@ -367,6 +367,12 @@ class Sweep(Displayed, Record):
         rows = {name: _row(name, text) for name, text in texts.items()}
         time = [Row("dt", f"{self.time.dt:g}", "s"), Row("t_end", f"{self.time.t_end:g}", "s")]
         own = [row for name, row in rows.items() if name not in defaults]
+        if self.error_estimate:
+            own.append(Row("error_estimate", "true"))
+        if self.precision:
+            own.append(Row("precision", f"{self.precision}", "bit"))
+        if self.metrics != list(STORED):
+            own.append(Row("metrics", ", ".join(self.metrics)))
         if self.reduce:
             best = f"; best {self.reduce.best} by {self.reduce.by}" if self.reduce.best else ""
             own.append(Row("reduce", f"over {', '.join(self.reduce.over)}{best}"))
