@@ -2,7 +2,6 @@
 
 import difflib
 import operator
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from decimal import Decimal
 from numbers import Real
@@ -62,9 +61,9 @@ def hint(
         if given in (*meaning.lower().replace(",", "").split(), *other_words.get(name, ()))
     ]
     begun = [
-        name
-        for name in known
-        if len(given) > 2 and any(part.startswith(given) for part in re.split("[_-]", name.lower()))
+        lower[name]
+        for name in lower
+        if len(given) > 2 and f"_{given}" in "_" + name.replace("-", "_")
     ]
     if given in lower:
         meant = [lower[given]]
