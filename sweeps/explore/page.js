@@ -3,11 +3,10 @@
 // it as a line of JSON, and its answer sets every control and every text.
 (() => {
   const about = JSON.parse(document.getElementById("described").textContent);
+  const { element, line_of } = drawing;
   const $ = (id) => document.getElementById(id);
   const model = (name) => Bokeh.documents[0].get_model_by_name(name);
   const MARKS = { circle: "●", triangle: "▲", square: "■", diamond: "◆" };
-  const DASHES = ["", "7 4", "8 3 2 3", "2 3"];
-  const COLOURS = ["#000000", "#b3460e", "#0066a6", "#8a1f7a"];
   const STEPS = 400; // of a slider
   let said = null;
   let count = 0;
@@ -38,16 +37,6 @@
 
   // ---- controls
 
-  const element = (tag, attributes = {}, ...children) => {
-    const made = document.createElement(tag);
-    for (const [name, value] of Object.entries(attributes)) {
-      if (name === "html") made.innerHTML = value;
-      else if (name in made && name !== "list") made[name] = value;
-      else made.setAttribute(name, value);
-    }
-    made.append(...children);
-    return made;
-  };
   const options = (pairs) => pairs.map(([value, text]) => element("option", { value }, text));
   const titled = (text, ...children) =>
     element("fieldset", {}, element("legend", {}, text), ...children);
@@ -200,11 +189,21 @@
     const head = element("p", { className: "axis", html: at });
     return [head, ...(told.note ? [element("p", {}, told.note)] : []), table];
   };
-  const line_of = (i) =>
-    `<svg width="44" height="10" aria-hidden="true"><path d="M0 5H44" stroke="${COLOURS[i]}" stroke-width="2.2" stroke-dasharray="${DASHES[i]}"/></svg>`;
-  const motion_of = (one, i) =>
-    element("li", { "data-nmse": one.nmse }, MARKS[one.mark], element("span", { html: line_of(i) }),
+  const motion_of = (one) =>
+    element("li", { "data-nmse": one.nmse }, MARKS[one.mark], line_of(one.look),
       `${one.at}: nmse ${Number(one.nmse).toPrecision(4)}`);
+  let drawn = null; // columns of the motions that the plots show
+  const draw_motions = () => {
+    drawn = model("motions").data;
+    const columns = Object.entries(drawn);
+    drawing.plots($("plots"), said.motions.map((_, i) =>
+      Object.fromEntries(columns.map(([name, column]) => [name, column[i]]))));
+  };
+  const draw_bar = () => drawing.colours($("bar"), about.palettes[said.bar.palette], said.bar.ticks);
+  const resized = new ResizeObserver(([{ target }]) => {
+    if (target === $("bar") && said?.bar) draw_bar();
+    if (target === $("motion-side") && said?.motions.length) draw_motions();
+  });
 
   const hear = () => {
     const text = model("words").data.json[0];
@@ -223,7 +222,8 @@
       $("readout").replaceChildren(...(said.readout ? rows_of(said.readout) : []));
     $("motions").replaceChildren(...said.motions.map(motion_of));
     $("hint").hidden = said.motions.length > 0;
-    $("plots").hidden = said.motions.length === 0;
+    if (model("motions").data !== drawn) draw_motions();
+    if (said.bar && JSON.stringify(before?.bar) !== JSON.stringify(said.bar)) draw_bar();
     $("undo").disabled = !said.undo;
     $("unpin").disabled = !said.view.pins;
     $("pin").disabled = !said.view.cell;
@@ -294,6 +294,7 @@
   const begin = () => {
     if (window.Bokeh?.documents?.length && model("words")) {
       hear();
+      for (const id of ["bar", "motion-side"]) resized.observe($(id));
       send({ do: "ready" });
     } else setTimeout(begin, 20);
   };

@@ -104,19 +104,20 @@ class Early(DocHandler):  # type: ignore[misc]
 @lru_cache(maxsize=1)
 def head() -> str:
     """The head of the page, with Bokeh: a request for it would wait for the session."""
-    text, _, _ = _text("page.html").partition("<body>")
+    text, _, _ = text_of("page.html").partition("<body>")
     scripts = Resources(mode="inline", components=["bokeh"]).render_js()
-    return text.replace("{{ style }}", _text("page.css")).replace("{{ scripts }}", scripts)
+    return text.replace("{{ style }}", text_of("page.css")).replace("{{ scripts }}", scripts)
 
 
 @lru_cache(maxsize=1)
 def body() -> Template:
     """The page after its head."""
-    _, mark, text = _text("page.html").partition("<body>")
+    _, mark, text = text_of("page.html").partition("<body>")
     return Template(mark + text)
 
 
-def _text(name: str) -> str:
+def text_of(name: str) -> str:
+    """A file of the page."""
     return files("sweeps.explore").joinpath(name).read_text(encoding="utf-8")
 
 
@@ -286,6 +287,7 @@ def serve(
     loop = IOLoop.current()
     server = BaseServer(loop, app, http)
     server.start()
+    head()  # before the first page needs it
     shown = LOOPBACK if address in ("0.0.0.0", "::") else address
     opened(f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/")
 
@@ -302,9 +304,7 @@ def serve(
 
 
 def _made(make: Callable[[], "Source"], worker: Worker) -> "Source":
-    """The source; `worker` compiles what its first map needs, or loads it from the disk."""
-    import sweeps.explore.page  # noqa: F401  before the first page needs it
-
+    """The source; `worker` compiles what its first map needs, or reads it from the disk."""
     source = make()
 
     def prepare(stale: Stale) -> None:
@@ -312,4 +312,6 @@ def _made(make: Callable[[], "Source"], worker: Worker) -> "Source":
         compute(source.start, None, stale)
 
     worker.submit("first", prepare)
+    import sweeps.explore.page  # noqa: F401  before the first page needs it
+
     return source
