@@ -10,11 +10,13 @@
   const STEPS = 400; // of a slider
   let said = null;
   let count = 0;
+  let changing = 0; // the newest event that changes the view
 
   // ---- events
 
   const send = (event) => {
     count += 1;
+    if (!["ready", "hover", "leave"].includes(event.do)) changing = count;
     model("events").data = { json: [JSON.stringify({ ...event, n: count })] };
   };
   // A slider moves faster than maps come: one event is on its way, the newest one waits.
@@ -211,7 +213,8 @@
     const before = said;
     said = JSON.parse(text);
     document.title = `${said.view.metric} - ${document.querySelector("h1").textContent}`;
-    for (const one of refresh) one(said.view);
+    // words that the program sent before it had the newest event would set a control back
+    if (said.heard >= changing) for (const one of refresh) one(said.view);
     $("notice").textContent = said.notice;
     $("title").innerHTML = said.title || "";
     $("x-label").innerHTML = `${said.x} →`;

@@ -58,7 +58,7 @@ class Page:
         self._lock = Lock()  # of what waits: a worker writes it, the page reads it
         self._rest: Any = None
         self.said: dict[str, Any] = {"notice": "", "maps": 0, "fine": False, "legend": []}
-        self.said |= {"motions": [], "selected": None, "readout": None}
+        self.said |= {"motions": [], "selected": None, "readout": None, "heard": 0}
         try:
             view = parse(query, source.start, source.space, source.defaults)
             source.check(view)
@@ -104,6 +104,7 @@ class Page:
         """An event of the page. A wrong one changes nothing and is answered by a notice."""
         try:
             event = _event(new)
+            self.said["heard"] = event.pop("n")
             do = getattr(self, f"_on_{event.pop('do')}")
             do(**event)
         except (ViewError, SweepError) as error:
@@ -405,7 +406,8 @@ class Page:
             self._later("poll", self._compute)
 
 
-EVENTS: dict[str, dict[str, type]] = {  # event -> its values
+# event -> its values; each has its number `n` too
+EVENTS: dict[str, dict[str, type]] = {
     "ready": {},
     "set": {"name": str, "value": str},
     "axis": {"side": str, "name": str},
@@ -427,8 +429,7 @@ def _event(columns: Any) -> dict[str, Any]:
         if not isinstance(line, str) or len(line) > LONGEST_EVENT:
             raise ViewError(f"an event must be at most {LONGEST_EVENT:,} characters long.")
         event = json.loads(line)
-        event.pop("n", None)  # makes each event another one
-        wanted = EVENTS[event["do"]]
+        wanted = {"n": int} | EVENTS[event["do"]]
         given = {name: value for name, value in event.items() if name != "do"}
         for name, value in given.items():
             number = wanted[name] is float and type(value) in (int, float)
@@ -485,6 +486,7 @@ def legend(drawn: Map) -> list[list[str]]:
     """Key and words of what has no colour, with its share of the cells."""
     words = {
         "not run": "not run yet",
+        "not trusted": "no value: too many scenarios are not trusted",
         "infinite": maps.INFINITE.get(drawn.view.metric, "infinite"),
         "doubtful": "not trusted",
     }

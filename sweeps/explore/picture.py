@@ -34,7 +34,7 @@ HATCHES = {
     "diverged": ("#000000", "#ffffff", "cross"),
     "failed": ("#9e9e9e", "#000000", "horizontal_line"),
     "infinite": ("#ffffff", "#262626", "right_diagonal_line"),
-    "not trusted": ("#bfbfbf", "#1a1a1a", "left_diagonal_line"),
+    "not trusted": ("#ffffff", "#1a1a1a", "vertical_line"),
     "no value": ("#d9d9d9", "#333333", "cross_hatch"),
 }
 # of the selected cell and of pins, in the map and beside the motions

@@ -82,7 +82,7 @@
     cross: (u, v) => (u + v) % 8 < 1.3 || (u - v + 8000) % 8 < 1.3,
     horizontal_line: (u, v) => v % 6 < 1.4,
     right_diagonal_line: (u, v) => (u + v) % 8 < 1.6,
-    left_diagonal_line: (u, v) => (u - v + 8000) % 8 < 1.6,
+    vertical_line: (u) => u % 6 < 1.4,
     cross_hatch: (u, v) => u % 6 < 1.3 || v % 6 < 1.3,
   };
   const word = (colour) => { // #rrggbb as a pixel

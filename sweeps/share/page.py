@@ -197,6 +197,7 @@ def _metric(source: Stored, copy: Copy, name: str) -> dict[str, Any]:
         **bar(name, low, high),
         "words": {
             "not run": "not run yet",
+            "not trusted": "no value: too many scenarios are not trusted",
             "infinite": maps.INFINITE.get(name, "infinite"),
             "doubtful": f"not trusted{doubt}",
         },
