@@ -26,6 +26,8 @@ const drawing = (() => {
       ? value.toExponential(digits - 1).replace(/\.?0+e/, "e") : String(plain);
     return text.replaceAll("-", "−");
   };
+  const breakable = (name) => // a line may end after each _
+    name.split("_").flatMap((part, i) => (i ? ["_", element("wbr"), part] : [part]));
 
   // texts at places along a side; those that would touch the one before are left out
   const tick = (box, ticks, upright) => {
@@ -75,6 +77,7 @@ const drawing = (() => {
       if (value < low) low = value;
       if (value > high) high = value;
     }
+    if (!(low <= high)) return [0, 1]; // all have diverged at once
     const room = 0.04 * (high - low) || 0.1 * Math.abs(high) || 1;
     return [low - room, high + room];
   };
@@ -97,7 +100,7 @@ const drawing = (() => {
       grid.push(svg("path", { d: `M${LEFT} ${v(at)}H${W - 8}`, stroke: "#707070" }));
     const lines = series.map(([a, b], i) => {
       const points = Array.from(a, (value, k) => `${u(value).toFixed(1)} ${v(b[k]).toFixed(1)}`);
-      return svg("path", { d: `M${points.join("L")}`, fill: "none", stroke: motions[i].colour,
+      return svg("path", { d: points.length ? `M${points.join("L")}` : "", fill: "none", stroke: motions[i].colour,
         "stroke-width": motions[i].width, "stroke-dasharray": DASHES[motions[i].dash],
         "stroke-linejoin": "round" });
     });
@@ -122,5 +125,5 @@ const drawing = (() => {
   const line_of = ({ colour, dash }) =>
     svg("svg", { width: 44, height: 10, "aria-hidden": "true" }, svg("path", { d: "M0 5H44",
       stroke: colour, "stroke-width": 2.2, "stroke-dasharray": DASHES[dash] }));
-  return { INK, element, written, tick, colours, plots, line_of };
+  return { INK, breakable, element, written, tick, colours, plots, line_of };
 })();

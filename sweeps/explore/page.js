@@ -3,7 +3,7 @@
 // it as a line of JSON, and its answer sets every control and every text.
 (() => {
   const about = JSON.parse(document.getElementById("described").textContent);
-  const { element, line_of } = drawing;
+  const { breakable, element, line_of } = drawing;
   const $ = (id) => document.getElementById(id);
   const model = (name) => Bokeh.documents[0].get_model_by_name(name);
   const MARKS = { circle: "●", triangle: "▲", square: "■", diamond: "◆" };
@@ -154,6 +154,7 @@
     return made;
   };
 
+  for (const id of ["motion-side", "pin", "unpin"]) $(id).hidden = !about.motion;
   const controls = $("controls");
   controls.append(titled("Metric", list("Metric", about.metrics, (view) => view.metric, (value) => set("metric", value))));
   controls.append(axis_box("y", "Vertical axis"), axis_box("x", "Horizontal axis"));
@@ -185,7 +186,7 @@
   const rows_of = (told) => {
     const table = element("table", {});
     for (const [name, value, unit, exact] of told.rows)
-      table.append(element("tr", {}, element("th", { scope: "row" }, name),
+      table.append(element("tr", {}, element("th", { scope: "row" }, ...breakable(name)),
         element("td", { "data-name": name, "data-exact": exact }, value), element("td", {}, unit)));
     const at = told.at.map(([name, value]) => `${name} = ${value}`).join(", ");
     const head = element("p", { className: "axis", html: at });
@@ -193,7 +194,7 @@
   };
   const motion_of = (one) =>
     element("li", { "data-nmse": one.nmse }, MARKS[one.mark], line_of(one.look),
-      `${one.at}: nmse ${Number(one.nmse).toPrecision(4)}`);
+      `${one.at}: ${one.nmse === "nan" ? "diverged" : `nmse ${Number(one.nmse).toPrecision(4)}`}`);
   let drawn = null; // columns of the motions that the plots show
   const draw_motions = () => {
     drawn = model("motions").data;
@@ -298,6 +299,10 @@
     if (window.Bokeh?.documents?.length && model("words")) {
       hear();
       for (const id of ["bar", "motion-side"]) resized.observe($(id));
+      // Bokeh's own stop of the Tab key, within the map: keys would do nothing there
+      let within = $("map").querySelector(".bk-Plot");
+      for (const name of [".bk-Canvas", ".bk-events"]) within = within?.shadowRoot?.querySelector(name);
+      within?.setAttribute("tabindex", "-1");
       send({ do: "ready" });
     } else setTimeout(begin, 20);
   };

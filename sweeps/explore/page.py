@@ -510,7 +510,8 @@ def _percent(part: float) -> str:
 
 def page_variables(source: sources.Source) -> dict[str, Any]:
     """What the template needs: style, script, and the controls as JSON."""
-    about = source.controls() | {"palettes": [shades(name).tolist() for name in PALETTES]}
+    palettes = [shades(name).tolist() for name in PALETTES]
+    about = source.controls() | {"palettes": palettes, "motion": source.has_motion}
     return {
         "script": text_of("page.drawing.js") + text_of("page.js"),
         "controls": json.dumps(about, default=str).replace("<", "\\u003c"),

@@ -29,7 +29,7 @@ def columns(motion: Motion) -> dict[str, Any]:
     s, p = motion.samples, motion.scenario.params
     T = np.asarray(s.tau_env)
     beyond = np.flatnonzero(~(np.abs(T) <= DIVERGED * max(abs(float(p.Td)), float(p.Fmax))))
-    kept = max(int(beyond[0]), 1) if beyond.size else T.size
+    kept = int(beyond[0]) if beyond.size else T.size
     found = {"t": s.t, "T": T, "e": s.e, "x": s.x, "V": motion.V, "v": s.v}
     found = {name: np.asarray(values)[:kept] for name, values in found.items()}
     # a branch is that of the step that ends at t

@@ -1,7 +1,7 @@
 "use strict";
 // A map over a copy of a store, and the motions of pinned cells. All data is in the page.
 (async () => {
-  const { INK, element, line_of, tick } = drawing;
+  const { INK, breakable, element, line_of, tick } = drawing;
   const $ = (id) => document.getElementById(id);
   const about = JSON.parse($("about").textContent);
   const metrics = new Map(about.metrics.map((one) => [one.name, one]));
@@ -68,8 +68,6 @@
   // labels of dimensions have tags of the program; all other text is text
   const labelled = (dim) => element("span", { html: dim.label });
   const written = (value) => drawing.written(value, about.digits);
-  const breakable = (name) => // a line may end after each _
-    name.split("_").flatMap((part, i) => (i ? ["_", element("wbr"), part] : [part]));
   const percent = (part) =>
     (part > 0 && part < 0.001 ? "<0.1" : part < 0.0995 && part > 0 ? (100 * part).toFixed(1)
       : part < 1 && part >= 0.995 ? ">99" : (100 * part).toFixed(0)) + "\u00a0%";

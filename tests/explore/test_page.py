@@ -190,6 +190,9 @@ def test_all_controls_have_names_and_are_reached_by_keys(browser, live):
         nameless = """Array.from(document.querySelectorAll("input, select, button, a")).filter(
             (one) => !(one.ariaLabel || one.labels?.length || one.textContent.trim()))"""
         assert page.evaluate(f"{nameless}.length") == 0
+        page.locator("#map").focus()
+        page.keyboard.press("Tab")
+        assert page.evaluate("document.activeElement.id") == "fit"
         reached = set()
         for _ in range(60):
             page.keyboard.press("Tab")
