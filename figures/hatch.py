@@ -19,6 +19,7 @@ from sweeps import maps
 
 LEGEND_BOX = 32  # point; a box of the legend and the spaces around it and its text
 MOST_SHARES = 4  # panels with a share of each in the legend
+COLOUR = "#21918c"  # the middle of the colours; 0.5 in a grey print
 HATCH_CELLS = 400  # per side; finer hatch outlines are below one printed dot
 # A dark line on a wider light line is visible on every colour, also in a grey print.
 _OVERLAY: tuple[dict[str, Any], ...] = tuple(
@@ -105,7 +106,8 @@ def legend_entries(parts: Sequence[Of]) -> dict[str, Handle]:
     """Text -> hatched box, for each hatch in the planes; the text has its share of each panel."""
     entries = special_entries(parts)
     if any(part.untrusted is not None and part.untrusted.any() for part in parts):
-        box = Patch(facecolor="0.75", edgecolor="black", linewidth=0.5)
+        # over a colour of the map: no box of a reason why cells have no value looks like it
+        box = Patch(facecolor=COLOUR, edgecolor="black", linewidth=0.5)
         entries[doubt_text(parts)] = (box, *(Patch(**look) for look in _OVERLAY))
     return entries
 

@@ -106,7 +106,7 @@ HATCHES = {
     "diverged": Hatch("black", "white", "xxxxx"),
     "failed": Hatch("0.62", "black", "-----"),
     "infinite": Hatch("white", "0.15", "//////"),
-    "not trusted": Hatch("0.75", "0.1", 4 * "\\"),
+    "not trusted": Hatch("white", "0.1", "|||||"),
     "no value": Hatch("0.85", "0.2", "+++++"),
 }
 

@@ -7,10 +7,10 @@
 - `source`: what `live` and `stored` both have
 - `motion`: the motion of one cell, by the program that computed the cell
 - `worker`: a thread that computes; the newest request of a page wins
-- `picture`, `motion_figures`: Bokeh figures of a map and of motions; they know of no server
+- `picture`: a map as a Bokeh figure; `signals`: motions as columns; they know of no server
 - `texts`: a view as a sweep file, as Python, as a labelled dataset
 - `page`: an open page: events in; maps, motions and words out. Its part in the browser is
-  `page.html`, `page.css` and `page.js`
+  `page.html`, `page.css`, `page.js` and, for a shared file too, `page.drawing.js`
 - `server`: listens on this machine, and refuses what other sites send
 
     event of a control -> View -> worker -> Map -> picture -> browser

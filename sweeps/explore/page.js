@@ -3,19 +3,20 @@
 // it as a line of JSON, and its answer sets every control and every text.
 (() => {
   const about = JSON.parse(document.getElementById("described").textContent);
+  const { breakable, element, line_of } = drawing;
   const $ = (id) => document.getElementById(id);
   const model = (name) => Bokeh.documents[0].get_model_by_name(name);
   const MARKS = { circle: "●", triangle: "▲", square: "■", diamond: "◆" };
-  const DASHES = ["", "7 4", "8 3 2 3", "2 3"];
-  const COLOURS = ["#000000", "#b3460e", "#0066a6", "#8a1f7a"];
   const STEPS = 400; // of a slider
   let said = null;
   let count = 0;
+  let changing = 0; // the newest event that changes the view
 
   // ---- events
 
   const send = (event) => {
     count += 1;
+    if (!["ready", "hover", "leave"].includes(event.do)) changing = count;
     model("events").data = { json: [JSON.stringify({ ...event, n: count })] };
   };
   // A slider moves faster than maps come: one event is on its way, the newest one waits.
@@ -38,16 +39,6 @@
 
   // ---- controls
 
-  const element = (tag, attributes = {}, ...children) => {
-    const made = document.createElement(tag);
-    for (const [name, value] of Object.entries(attributes)) {
-      if (name === "html") made.innerHTML = value;
-      else if (name in made && name !== "list") made[name] = value;
-      else made.setAttribute(name, value);
-    }
-    made.append(...children);
-    return made;
-  };
   const options = (pairs) => pairs.map(([value, text]) => element("option", { value }, text));
   const titled = (text, ...children) =>
     element("fieldset", {}, element("legend", {}, text), ...children);
@@ -163,6 +154,7 @@
     return made;
   };
 
+  for (const id of ["motion-side", "pin", "unpin"]) $(id).hidden = !about.motion;
   const controls = $("controls");
   controls.append(titled("Metric", list("Metric", about.metrics, (view) => view.metric, (value) => set("metric", value))));
   controls.append(axis_box("y", "Vertical axis"), axis_box("x", "Horizontal axis"));
@@ -194,17 +186,27 @@
   const rows_of = (told) => {
     const table = element("table", {});
     for (const [name, value, unit, exact] of told.rows)
-      table.append(element("tr", {}, element("th", { scope: "row" }, name),
+      table.append(element("tr", {}, element("th", { scope: "row" }, ...breakable(name)),
         element("td", { "data-name": name, "data-exact": exact }, value), element("td", {}, unit)));
     const at = told.at.map(([name, value]) => `${name} = ${value}`).join(", ");
     const head = element("p", { className: "axis", html: at });
     return [head, ...(told.note ? [element("p", {}, told.note)] : []), table];
   };
-  const line_of = (i) =>
-    `<svg width="44" height="10" aria-hidden="true"><path d="M0 5H44" stroke="${COLOURS[i]}" stroke-width="2.2" stroke-dasharray="${DASHES[i]}"/></svg>`;
-  const motion_of = (one, i) =>
-    element("li", { "data-nmse": one.nmse }, MARKS[one.mark], element("span", { html: line_of(i) }),
-      `${one.at}: nmse ${Number(one.nmse).toPrecision(4)}`);
+  const motion_of = (one) =>
+    element("li", { "data-nmse": one.nmse }, MARKS[one.mark], line_of(one.look),
+      `${one.at}: ${one.nmse === "nan" ? "diverged" : `nmse ${Number(one.nmse).toPrecision(4)}`}`);
+  let drawn = null; // columns of the motions that the plots show
+  const draw_motions = () => {
+    drawn = model("motions").data;
+    const columns = Object.entries(drawn);
+    drawing.plots($("plots"), said.motions.map((_, i) =>
+      Object.fromEntries(columns.map(([name, column]) => [name, column[i]]))));
+  };
+  const draw_bar = () => drawing.colours($("bar"), about.palettes[said.bar.palette], said.bar.ticks);
+  const resized = new ResizeObserver(([{ target }]) => {
+    if (target === $("bar") && said?.bar) draw_bar();
+    if (target === $("motion-side") && said?.motions.length) draw_motions();
+  });
 
   const hear = () => {
     const text = model("words").data.json[0];
@@ -212,7 +214,8 @@
     const before = said;
     said = JSON.parse(text);
     document.title = `${said.view.metric} - ${document.querySelector("h1").textContent}`;
-    for (const one of refresh) one(said.view);
+    // words that the program sent before it had the newest event would set a control back
+    if (said.heard >= changing) for (const one of refresh) one(said.view);
     $("notice").textContent = said.notice;
     $("title").innerHTML = said.title || "";
     $("x-label").innerHTML = `${said.x} →`;
@@ -223,7 +226,8 @@
       $("readout").replaceChildren(...(said.readout ? rows_of(said.readout) : []));
     $("motions").replaceChildren(...said.motions.map(motion_of));
     $("hint").hidden = said.motions.length > 0;
-    $("plots").hidden = said.motions.length === 0;
+    if (model("motions").data !== drawn) draw_motions();
+    if (said.bar && JSON.stringify(before?.bar) !== JSON.stringify(said.bar)) draw_bar();
     $("undo").disabled = !said.undo;
     $("unpin").disabled = !said.view.pins;
     $("pin").disabled = !said.view.cell;
@@ -294,6 +298,11 @@
   const begin = () => {
     if (window.Bokeh?.documents?.length && model("words")) {
       hear();
+      for (const id of ["bar", "motion-side"]) resized.observe($(id));
+      // Bokeh's own stop of the Tab key, within the map: keys would do nothing there
+      let within = $("map").querySelector(".bk-Plot");
+      for (const name of [".bk-Canvas", ".bk-events"]) within = within?.shadowRoot?.querySelector(name);
+      within?.setAttribute("tabindex", "-1");
       send({ do: "ready" });
     } else setTimeout(begin, 20);
   };

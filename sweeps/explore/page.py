@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, replace
 from html import escape
-from importlib.resources import files
 from threading import Lock
 from typing import Any
 
@@ -23,9 +22,9 @@ from sweeps import maps
 from sweeps.explore import source as sources
 from sweeps.explore.cells import Map, label, symbol, text, unit
 from sweeps.explore.motion import Motion, motion
-from sweeps.explore.motion_figures import MotionFigures
-from sweeps.explore.picture import MARKS, MapFigure, colour_ends
-from sweeps.explore.server import body
+from sweeps.explore.picture import MARKS, PALETTES, MapFigure, bar, colour_ends, shades
+from sweeps.explore.server import body, text_of
+from sweeps.explore.signals import drawn, look
 from sweeps.explore.view import (
     History,
     Value,
@@ -59,7 +58,7 @@ class Page:
         self._lock = Lock()  # of what waits: a worker writes it, the page reads it
         self._rest: Any = None
         self.said: dict[str, Any] = {"notice": "", "maps": 0, "fine": False, "legend": []}
-        self.said |= {"motions": [], "selected": None, "readout": None}
+        self.said |= {"motions": [], "selected": None, "readout": None, "heard": 0}
         try:
             view = parse(query, source.start, source.space, source.defaults)
             source.check(view)
@@ -68,19 +67,18 @@ class Page:
             self.view = source.start
             self.said["notice"] = f"The address has no view that can be shown: {error}"
         self.history = History([self.view])
-        self.figure, self.motions = MapFigure(), MotionFigures()
+        self.figure = MapFigure()
+        self.motions = ColumnDataSource(drawn([]), name="motions")
         self.words = ColumnDataSource({"json": [""]}, name="words")
         self.events = ColumnDataSource({"json": [""]}, name="events")
         self.events.on_change("data", self._receive)
-        figures = [self.figure.figure, self.figure.colours, *self.motions.figures.values()]
-        self.figure.figure.tags = [self.words, self.events]
+        self.figure.figure.tags = [self.words, self.events, self.motions]
         for name in ("tap", "doubletap", "mousemove", "mouseleave"):
             pass_on = CustomJS(code="window.explorer && window.explorer.pointer(cb_obj)")
             self.figure.figure.js_on_event(name, pass_on)
         self.words.js_on_change("data", CustomJS(code="window.explorer && window.explorer.hear()"))
         with document.models.freeze():  # else Bokeh walks through the page after each
-            for figure in figures:
-                document.add_root(figure)
+            document.add_root(self.figure.figure)
         document.js_on_event("connection_lost", CustomJS(code="window.explorer.lost()"))
         document.title = f"{source.title} - fic-sweep explore"
         document.template = body()
@@ -106,6 +104,7 @@ class Page:
         """An event of the page. A wrong one changes nothing and is answered by a notice."""
         try:
             event = _event(new)
+            self.said["heard"] = event.pop("n")
             do = getattr(self, f"_on_{event.pop('do')}")
             do(**event)
         except (ViewError, SweepError) as error:
@@ -244,10 +243,12 @@ class Page:
             self.view = replace(self.view, colours=colour_ends(found))
             if self.history.views[-1] == replace(self.view, colours=None):
                 self.history.views[-1] = self.view
-        self.figure.show(found, self.view.colours or colour_ends(found) or (0.0, 1.0))
+        ends = self.view.colours or colour_ends(found)
+        self.figure.show(found, ends)
         self._mark()
         n = self.said["maps"] + 1
         fine = found.fine and now
+        self.said["bar"] = bar(found.view.metric, *ends)
         self._say(legend=legend(found), title=_title(found), notice="", fine=fine, maps=n)
 
     def _mark(self) -> None:
@@ -279,7 +280,7 @@ class Page:
             return
         if places == [None] or not self.source.has_motion:
             self.quick.drop(key)
-            self.motions.show([])
+            self.motions.data = drawn([])
             self._say(motions=[], selected=None, readout=None)
             if view.cell:
                 self.quick.submit(key, lambda _: self._values_alone(view))
@@ -320,11 +321,11 @@ class Page:
         names = [n for n in view.at if len({p[n] for p in places if p}) > 1]
         names = names or [view.x, view.y]
         motions = []
-        for mark, place, one in zip(MARKS, places, found, strict=False):
+        for i, (place, one) in enumerate(zip(places, found, strict=True)):
             if place and one:
                 at = ", ".join(f"{n} = {_shown(place[n])}" for n in names)
                 nmse = repr(float(one.metrics.nmse))
-                motions.append({"mark": mark, "at": at, "nmse": nmse})
+                motions.append({"mark": MARKS[i], "look": look(i), "at": at, "nmse": nmse})
         selected = None
         place = places[0]
         if place and found[0]:
@@ -335,7 +336,7 @@ class Page:
         return {"motions": motions, "selected": selected, "readout": selected}
 
     def _draw(self, found: list[Any], words: dict[str, Any]) -> None:
-        self.motions.show(found)
+        self.motions.data = drawn(found)
         self._say(**words)
 
     def _readout(self, drawn: Map, row: int, column: int) -> dict[str, Any]:
@@ -405,7 +406,8 @@ class Page:
             self._later("poll", self._compute)
 
 
-EVENTS: dict[str, dict[str, type]] = {  # event -> its values
+# event -> its values; each has its number `n` too
+EVENTS: dict[str, dict[str, type]] = {
     "ready": {},
     "set": {"name": str, "value": str},
     "axis": {"side": str, "name": str},
@@ -427,8 +429,7 @@ def _event(columns: Any) -> dict[str, Any]:
         if not isinstance(line, str) or len(line) > LONGEST_EVENT:
             raise ViewError(f"an event must be at most {LONGEST_EVENT:,} characters long.")
         event = json.loads(line)
-        event.pop("n", None)  # makes each event another one
-        wanted = EVENTS[event["do"]]
+        wanted = {"n": int} | EVENTS[event["do"]]
         given = {name: value for name, value in event.items() if name != "do"}
         for name, value in given.items():
             number = wanted[name] is float and type(value) in (int, float)
@@ -485,6 +486,7 @@ def legend(drawn: Map) -> list[list[str]]:
     """Key and words of what has no colour, with its share of the cells."""
     words = {
         "not run": "not run yet",
+        "not trusted": "no value: too many scenarios are not trusted",
         "infinite": maps.INFINITE.get(drawn.view.metric, "infinite"),
         "doubtful": "not trusted",
     }
@@ -508,9 +510,10 @@ def _percent(part: float) -> str:
 
 def page_variables(source: sources.Source) -> dict[str, Any]:
     """What the template needs: style, script, and the controls as JSON."""
-    controls = json.dumps(source.controls(), default=str).replace("<", "\\u003c")
+    palettes = [shades(name).tolist() for name in PALETTES]
+    about = source.controls() | {"palettes": palettes, "motion": source.has_motion}
     return {
-        "script": files("sweeps.explore").joinpath("page.js").read_text(encoding="utf-8"),
-        "controls": controls,
+        "script": text_of("page.drawing.js") + text_of("page.js"),
+        "controls": json.dumps(about, default=str).replace("<", "\\u003c"),
         "heading": source.title,
     }

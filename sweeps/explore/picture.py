@@ -12,13 +12,14 @@ from bokeh.models import (
     ColumnDataSource,
     FixedTicker,
     ImageRGBA,
+    LinearAxis,
+    Plot,
     Quad,
     Range1d,
     Scatter,
     Segment,
 )
 from bokeh.palettes import Viridis256
-from bokeh.plotting import figure
 from numpy.typing import NDArray
 
 from sweeps import maps
@@ -33,7 +34,7 @@ HATCHES = {
     "diverged": ("#000000", "#ffffff", "cross"),
     "failed": ("#9e9e9e", "#000000", "horizontal_line"),
     "infinite": ("#ffffff", "#262626", "right_diagonal_line"),
-    "not trusted": ("#bfbfbf", "#1a1a1a", "left_diagonal_line"),
+    "not trusted": ("#ffffff", "#1a1a1a", "vertical_line"),
     "no value": ("#d9d9d9", "#333333", "cross_hatch"),
 }
 # of the selected cell and of pins, in the map and beside the motions
@@ -47,6 +48,7 @@ NOTHING = {name: np.zeros(0, np.float32) for name in ("left", "right", "bottom",
 SIDES: dict[str, Any] = {name: name for name in NOTHING}
 UNIT: dict[str, Any] = {"x": 0, "y": 0, "dw": 1, "dh": 1}
 Picture = dict[str, Any]  # columns of a source
+PALETTES = ("nmse", maps.SIGNED_METRICS[0])  # a metric of each kind of colours
 
 
 def colour_ends(drawn: Map) -> tuple[float, float]:
@@ -138,8 +140,22 @@ def border(drawn: Map) -> Picture:
     }
 
 
+def bar(metric: str, low: float, high: float) -> dict[str, Any]:
+    """The bar of colours: the index of its colours in PALETTES; places from 0 to 1, and texts."""
+    log = logarithmic(metric, low, high)
+    span = math.log(high / low) if log else high - low
+    found = [
+        [(math.log(t / low) if log else t - low) / span, text(t)] for t in ticks(low, high, log)
+    ]
+    return {"palette": int(metric in maps.SIGNED_METRICS), "ticks": found}
+
+
 class MapFigure:
-    """A figure of a map, and a bar of its colours."""
+    """A figure of a map.
+
+    It has no more models than it needs: the server makes and the browser builds each of them before
+    the first map is there.
+    """
 
     def __init__(self) -> None:
         self.image = ColumnDataSource({"image": []}, name="image")
@@ -147,8 +163,20 @@ class MapFigure:
         self.doubt = ColumnDataSource(dict(NOTHING))
         self.border = ColumnDataSource({name: [] for name in ("x0", "y0", "x1", "y1")})
         self.marks = ColumnDataSource({"x": [], "y": [], "mark": []}, name="marks")
-        self.figure = _unit_figure(name="map", aspect_ratio=1.05, sizing_mode="stretch_width")
-        drawn = self.figure.add_glyph  # f.quad and others make three glyphs of one
+        self.figure = Plot(
+            name="map",
+            aspect_ratio=1.05,
+            sizing_mode="stretch_width",
+            x_range=Range1d(0, 1),
+            y_range=Range1d(0, 1),
+            toolbar_location=None,
+            min_border=8,
+            outline_line_color=INK,
+        )
+        self.axes = [_axis(), _axis()]
+        for axis, side in zip(self.axes, ("below", "left"), strict=True):
+            self.figure.add_layout(axis, side)
+        drawn = self.figure.add_glyph
         filled = {"fill_color": "face", "hatch_color": "ink", "hatch_pattern": "pattern"}
         drawn(self.hatches, Quad(**SIDES, **filled, line_color=None, hatch_scale=8))
         drawn(self.image, ImageRGBA(image="image", **UNIT))
@@ -161,11 +189,6 @@ class MapFigure:
             drawn(self.border, Segment(x0="x0", y0="y0", x1="x1", y1="y1", **look))
         look = {"fill_color": "white", "line_color": INK, "line_width": 2.5}
         drawn(self.marks, Scatter(x="x", y="y", marker="mark", size=15, **look))
-        self.bar = ColumnDataSource({"image": []})
-        self.colours = _unit_figure(name="colours", height=52, sizing_mode="stretch_width")
-        self.colours.add_glyph(self.bar, ImageRGBA(image="image", **UNIT))
-        self.colours.yaxis.visible = False
-        self._bar: Any = None
 
     def show(self, drawn: Map, ends: tuple[float, float]) -> None:
         """Draw a map in colours between two ends."""
@@ -174,19 +197,8 @@ class MapFigure:
         doubt = drawn.doubt
         self._put(self.doubt, boxes(doubt.untrusted, doubt.x, doubt.y) if doubt else dict(NOTHING))
         self._put(self.border, border(drawn))
-        for side, axis in ((self.figure.xaxis, drawn.x), (self.figure.yaxis, drawn.y)):
-            _tick(side[0], axis.ticks())
-        low, high = ends
-        if self._bar != (drawn.view.metric, ends):
-            self._bar = drawn.view.metric, ends
-            log = logarithmic(drawn.view.metric, low, high)
-            self._put(self.bar, {"image": [shades(drawn.view.metric)[None, :]]})
-            span = math.log(high / low) if log else high - low
-            found = ((math.log(t / low) if log else t - low) / span for t in ticks(low, high, log))
-            _tick(
-                self.colours.xaxis[0],
-                [(p, text(t)) for p, t in zip(found, ticks(low, high, log), strict=True)],
-            )
+        for side, axis in zip(self.axes, (drawn.x, drawn.y), strict=True):
+            _tick(side, axis.ticks())
 
     def mark(self, places: list[tuple[float, float] | None]) -> None:
         """Mark the selected cell and the pins, where they lie on the map."""
@@ -202,24 +214,13 @@ class MapFigure:
             source.data = data
 
 
-def _unit_figure(**look: Any) -> figure:
-    """An empty figure whose sides have the length 1."""
-    f = figure(
-        x_range=Range1d(0, 1),
-        y_range=Range1d(0, 1),
-        tools="",
-        toolbar_location=None,
-        min_border=8,
-        outline_line_color=INK,
-        **look,
+def _axis() -> LinearAxis:
+    return LinearAxis(
+        ticker=FixedTicker(ticks=[]),
+        minor_tick_line_color=None,
+        major_label_text_color=INK,
+        major_label_text_font_size="13px",
     )
-    f.grid.visible = False
-    for axis in (*f.xaxis, *f.yaxis):
-        axis.ticker = FixedTicker(ticks=[])
-        axis.minor_tick_line_color = None
-        axis.major_label_text_color = INK
-        axis.major_label_text_font_size = "13px"
-    return f
 
 
 def _tick(axis: Any, places: list[tuple[float, str]]) -> None:

@@ -28,7 +28,7 @@ from bokeh.server.views.doc_handler import DocHandler
 from jinja2 import Template
 from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
-from tornado.web import ErrorHandler, RequestHandler
+from tornado.web import RequestHandler
 
 from sweeps.explore.worker import Stale, Worker
 
@@ -41,6 +41,9 @@ PORT = 5170  # unless it is in use: a link then works again after a new start
 LARGEST_MESSAGE = 20_000  # bytes of a websocket's message; a page sends at most some hundred
 LARGEST_REQUEST = 65_536  # bytes of a request's head and body
 UNUSED = 10_000  # ms that a closed page may take to come back
+MOST_PAGES = 30  # of 10 MB at most: a live map has all metrics of 256 x 256 cells
+MOST_PICTURES = 8  # that wait to be drawn, about a second each
+PATHS = ("/", "/ws", "/view.py", "/view.toml", "/picture.png", "/picture.svg")
 
 
 class ListenError(Exception):
@@ -55,17 +58,73 @@ class Guarded(BokehTornado):  # type: ignore[misc]
     """
 
     hosts: Callable[[str], bool]
+    place: tuple[str, int]  # address and port
     ready: "asyncio.Future[Source]"
+    coming = 0  # pages that wait for the source
+    drawing = 0  # pictures that wait or are drawn
+
+    @property
+    def full(self) -> bool:
+        """Whether there are as many pages as there may be."""
+        return len(self.get_sessions("/")) + self.coming >= MOST_PAGES
 
     def find_handler(self, request: Any, **kwargs: Any) -> Any:
-        """The handler of a request; one that refuses it if it is foreign."""
+        """The handler of a request; one that refuses it if it is foreign, or for nothing."""
         host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
-        if not (self.hosts(host) and _own(origin, host) and not _embedded(request.headers)):
-            return self.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
+        if not self.hosts(host):
+            return self._refused(request, 403, refused_host(host, *self.place))
+        if not _own(origin, host) or _embedded(request.headers):
+            line = f"A page of another site sent this: open http://{host}/ by itself instead."
+            return self._refused(request, 403, line)
+        if request.path not in PATHS:  # Bokeh's other pages are not needed
+            return self._refused(request, 404, "There is nothing at this address.")
         if request.path == "/":
             context = {"application_context": self.applications["/"], "bokeh_websocket_path": "/ws"}
             return self.get_handler_delegate(request, Early, context)
         return super().find_handler(request, **kwargs)
+
+    def _refused(self, request: Any, status: int, line: str) -> Any:
+        return self.get_handler_delegate(request, Refused, {"status": status, "line": line})
+
+
+class Refused(RequestHandler):  # type: ignore[misc]
+    """One line that says what is refused, and what to do."""
+
+    def initialize(self, status: int, line: str) -> None:
+        """Tornado's constructor."""
+        self.status, self.line = status, line
+
+    def prepare(self) -> None:
+        """The answer to each method."""
+        say(self, self.status, self.line)
+
+
+def say(handler: RequestHandler, status: int, line: str) -> None:
+    """Answer with one line of plain text."""
+    handler.set_status(status)
+    handler.set_header("Content-Type", "text/plain; charset=utf-8")
+    handler.set_header("X-Content-Type-Options", "nosniff")
+    handler.finish(line)
+
+
+def refused_host(host: str, address: str, port: int) -> str:
+    """Why a request for `host` is refused, and what to do; one line."""
+    from sweeps.spec.mistakes import printable
+
+    shown = printable(host)
+    with suppress(ValueError):
+        other = urlsplit(f"//{host}").port or 80
+        if other != port and own_host(address, other)(host):
+            return (
+                f"This program answers on port {port} alone, but the request is for {shown}: "
+                "give a tunnel the same port at both ends, as in "
+                f"`ssh -L {port}:127.0.0.1:{port} MACHINE`, or start the program with "
+                f"`--port {other}`."
+            )
+    return (
+        f"This program answers at {address}:{port} alone, but the request is for {shown}; "
+        "`fic-sweep explore --host ADDRESS` listens at another address of this machine."
+    )
 
 
 def _own(origin: str | None, host: str) -> bool:
@@ -89,11 +148,19 @@ class Early(DocHandler):  # type: ignore[misc]
 
     async def get(self) -> None:
         """The page of a new session."""
+        if self.application.full:
+            most = f"{MOST_PAGES} pages of this program are open, and that is its limit"
+            say(self, 503, f"{most}: close one, wait {UNUSED // 1000} seconds and load this again.")
+            return
         self.set_header("Content-Type", "text/html; charset=utf-8")
         self.write(head())
-        await self.flush()
-        await asyncio.shield(self.application.ready)
-        session = await self.get_session()
+        self.application.coming += 1
+        try:
+            await self.flush()
+            await asyncio.shield(self.application.ready)
+            session = await self.get_session()
+        finally:
+            self.application.coming -= 1
         document = session.document
         whole = server_html_page_for_session(
             session, None, document.title, document.template, document.template_variables
@@ -104,19 +171,20 @@ class Early(DocHandler):  # type: ignore[misc]
 @lru_cache(maxsize=1)
 def head() -> str:
     """The head of the page, with Bokeh: a request for it would wait for the session."""
-    text, _, _ = _text("page.html").partition("<body>")
+    text, _, _ = text_of("page.html").partition("<body>")
     scripts = Resources(mode="inline", components=["bokeh"]).render_js()
-    return text.replace("{{ style }}", _text("page.css")).replace("{{ scripts }}", scripts)
+    return text.replace("{{ style }}", text_of("page.css")).replace("{{ scripts }}", scripts)
 
 
 @lru_cache(maxsize=1)
 def body() -> Template:
     """The page after its head."""
-    _, mark, text = _text("page.html").partition("<body>")
+    _, mark, text = text_of("page.html").partition("<body>")
     return Template(mark + text)
 
 
-def _text(name: str) -> str:
+def text_of(name: str) -> str:
+    """A file of the page."""
     return files("sweeps.explore").joinpath(name).read_text(encoding="utf-8")
 
 
@@ -207,15 +275,29 @@ class Views(RequestHandler):  # type: ignore[misc]
             make = {"view.py": source.python, "view.toml": source.sweep_file}.get(what)
             if make:
                 content = make(view)
+            elif self.application.drawing >= MOST_PICTURES:
+                say(
+                    self,
+                    503,
+                    f"{MOST_PICTURES} pictures wait to be drawn: try again later.",
+                )
+                return
             else:
-                work = self.pool.submit(picture, source, view, what.rpartition(".")[2])
-                content = await asyncio.wrap_future(work)
+                content = await self._picture(source, view, what.rpartition(".")[2])
         except (ViewError, SweepError, OSError) as error:
-            self.set_status(400)
-            content, what = f"{error}".splitlines()[0], ""
+            say(self, 400, f"{error}".splitlines()[0])
+            return
         self.set_header("Content-Type", KINDS.get(what, "text/plain; charset=utf-8"))
         self.set_header("X-Content-Type-Options", "nosniff")
         self.finish(content)
+
+    async def _picture(self, source: "Source", view: "View", kind: str) -> bytes:
+        self.application.drawing += 1
+        work = self.pool.submit(picture, source, view, kind)
+        try:
+            return await asyncio.wrap_future(work)
+        finally:
+            self.application.drawing -= 1
 
 
 KINDS = {"picture.png": "image/png", "picture.svg": "image/svg+xml"}
@@ -261,6 +343,8 @@ def serve(
     def page(document: Document) -> None:
         from sweeps.explore.page import Page
 
+        if len(app.get_sessions("/")) >= MOST_PAGES:  # of a websocket without a page
+            raise RuntimeError(f"more than {MOST_PAGES} pages")
         arguments = document.session_context.request.arguments
         pairs = [(n, v.decode("utf-8", "replace")) for n, vs in arguments.items() for v in vs]
         Page(document, app.ready.result(), worker, quick, urlencode(pairs))
@@ -280,12 +364,13 @@ def serve(
         use_index=False,
         session_token_expiration=3600,  # s; a page that sleeps may come back
     )
-    app.hosts = own_host(address, port)
+    app.hosts, app.place = own_host(address, port), (address, port)
     http = HTTPServer(app, max_body_size=LARGEST_REQUEST, max_header_size=LARGEST_REQUEST)
     http.add_socket(listening)
     loop = IOLoop.current()
     server = BaseServer(loop, app, http)
     server.start()
+    head()  # before the first page needs it
     shown = LOOPBACK if address in ("0.0.0.0", "::") else address
     opened(f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/")
 
@@ -302,9 +387,7 @@ def serve(
 
 
 def _made(make: Callable[[], "Source"], worker: Worker) -> "Source":
-    """The source; `worker` compiles what its first map needs, or loads it from the disk."""
-    import sweeps.explore.page  # noqa: F401  before the first page needs it
-
+    """The source; `worker` compiles what its first map needs, or reads it from the disk."""
     source = make()
 
     def prepare(stale: Stale) -> None:
@@ -312,4 +395,6 @@ def _made(make: Callable[[], "Source"], worker: Worker) -> "Source":
         compute(source.start, None, stale)
 
     worker.submit("first", prepare)
+    import sweeps.explore.page  # noqa: F401  before the first page needs it
+
     return source

@@ -57,6 +57,7 @@ if TYPE_CHECKING:
 
 MOST_HELD = 50_000_000  # values of a variable in memory: 200 MB in float32
 MOST_LISTED = 2_000  # values of a dimension that a slider has
+NEVER = ""  # when a block was loaded that was not
 LATEST = 3  # metrics in memory, with their flags
 LOAD = 0.3  # s after a map, when nothing else is to be done
 POLL = 1.0  # s between two looks at a running sweep
@@ -71,9 +72,10 @@ STATUS = {
 class Variable:
     """A variable of a store in memory, block by block as they are needed."""
 
-    def __init__(self, shape: tuple[int, ...], dtype: Any, fill: Any) -> None:
-        self.values = np.full(shape, fill, dtype)
-        self.loaded: dict[int, str] = {}  # block -> when it was committed
+    def __init__(self, shape: tuple[int, ...], dtype: Any) -> None:
+        self.values = np.empty(shape, dtype)  # memory that no block needs yet costs no time
+        self.fill = 0 if np.dtype(dtype).kind == "u" else np.nan
+        self.loaded: dict[int, str | None] = {}  # block -> when it was committed; None: not yet
 
 
 class Stored:
@@ -208,10 +210,12 @@ class Stored:
         if self.grid.cells > MOST_HELD:
             return
         for name in self._needed(view.metric):
-            for block in self._done:
+            side = self.grid.block_shape[0]
+            for first in range(0, self.grid.shape[0], side):
                 if stale():
                     return
-                self._read(name, tuple(slice(p.start, p.stop) for p in self.grid.block(block)))
+                rest = [slice(None)] * (len(self.grid.dims) - 1)
+                self._read(name, (slice(first, min(first + side, self.grid.shape[0])), *rest))
 
     def _needed(self, metric: str) -> list[str]:
         """The variables that a map of a metric reads."""
@@ -300,16 +304,20 @@ class Stored:
             return np.asarray(self.store.array(name)[index])
         variable = self._variables.get(name)
         if variable is None:
-            array = self.store.array(name)
-            fill = 0 if array.dtype.kind == "u" else np.nan
-            variable = self._variables[name] = Variable(self.grid.shape, array.dtype, fill)
+            dtype = self.store.array(name).dtype
+            variable = self._variables[name] = Variable(self.grid.shape, dtype)
             self._forget()
-        for block in self._blocks(index):
-            when = self._done.get(block)
-            if when is not None and variable.loaded.get(block) != when:
+        blocks = {block: self._done.get(block) for block in self._blocks(index)}
+        new = [b for b, when in blocks.items() if variable.loaded.get(b, NEVER) != when]
+        if new and all(blocks.values()):
+            box = self._box(index)  # one call, where a call for each block takes four times as long
+            variable.values[box] = self.store.array(name)[box]
+        else:
+            for block in new:
                 part = self.grid.block(block)
-                variable.values[part] = self.store.array(name)[part]
-                variable.loaded[block] = when
+                done = blocks[block] is not None
+                variable.values[part] = self.store.array(name)[part] if done else variable.fill
+        variable.loaded |= blocks
         return variable.values[index]
 
     def _forget(self) -> None:
@@ -319,17 +327,25 @@ class Stored:
         for name in metrics[:-LATEST]:
             self._variables.pop(name, None)
 
-    def _blocks(self, index: tuple[int | slice, ...]) -> Iterator[int]:
-        """The numbers of the blocks that a part of the cells lies in."""
+    def _places(self, index: tuple[int | slice, ...]) -> list[range]:
+        """The blocks that a part of the cells lies in, along each dimension."""
         sides = zip(index, self.grid.block_shape, self.grid.counts, strict=True)
-        ranges = [
+        return [
             range((i.start or 0) // side, n if i.stop is None else -(-i.stop // side))
             if isinstance(i, slice)
-            else (i // side,)
+            else range(i // side, i // side + 1)
             for i, side, n in sides
         ]
-        for place in itertools.product(*ranges):
+
+    def _blocks(self, index: tuple[int | slice, ...]) -> Iterator[int]:
+        """The numbers of the blocks that a part of the cells lies in."""
+        for place in itertools.product(*self._places(index)):
             yield int(np.ravel_multi_index(place, self.grid.counts))
+
+    def _box(self, index: tuple[int | slice, ...]) -> tuple[slice, ...]:
+        """All cells of the blocks that a part of the cells lies in."""
+        sides = zip(self._places(index), self.grid.block_shape, self.grid.shape, strict=True)
+        return tuple(slice(p.start * side, min(p.stop * side, n)) for p, side, n in sides)
 
     def place(self, view: View) -> dict[str, Value] | None:
         """What the selected cell is at; of a worst case, the cell that is the worst."""

@@ -86,9 +86,9 @@ def dataset(grid: Grid, variables: Mapping[str, NDArray[Any]]) -> "xr.Dataset":
             about = QUANTITIES.get(name, {"unit": "1", "meaning": name})
             attributes = {"units": about["unit"], "long_name": about["meaning"]}
             data = data.assign_coords({name: (dim, values, attributes)})
-    for name, values in variables.items():
+    for name in store_format.variable_names(grid.sweep):
         attributes = store_format.variable(grid, name, "float32")["attributes"]
-        data[name] = (tuple(grid.dims), values, attributes)
+        data[name] = (tuple(grid.dims), variables[name], attributes)
     return data
 
 

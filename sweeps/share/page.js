@@ -1,14 +1,13 @@
 "use strict";
 // A map over a copy of a store, and the motions of pinned cells. All data is in the page.
 (async () => {
+  const { INK, breakable, element, line_of, tick } = drawing;
   const $ = (id) => document.getElementById(id);
   const about = JSON.parse($("about").textContent);
   const metrics = new Map(about.metrics.map((one) => [one.name, one]));
   const dims = new Map(about.dims.map((one) => [one.name, one]));
   const DOUBT = 128; // of a code
-  const INK = "#1a1a1a";
   const MARKS = { circle: "●", triangle: "▲", square: "■", diamond: "◆" };
-  const DASHES = { solid: "", dashed: "7 4", dotdash: "8 3 2 3", dotted: "2 3" };
   const MOST_SIDES = 20000; // of a border; more are the noise of cells that differ from all neighbours
   const view = { ...about.start, cell: null };
 
@@ -66,25 +65,9 @@
 
   // ---- words
 
-  const element = (tag, attributes = {}, ...children) => {
-    const made = document.createElement(tag);
-    for (const [name, value] of Object.entries(attributes)) {
-      if (name in made) made[name] = value;
-      else made.setAttribute(name, value);
-    }
-    made.append(...children);
-    return made;
-  };
   // labels of dimensions have tags of the program; all other text is text
-  const labelled = (dim) => element("span", { innerHTML: dim.label });
-  const written = (value, digits = about.digits) => {
-    const plain = Number(value.toPrecision(digits));
-    const text = plain !== 0 && (Math.abs(plain) < 1e-4 || Math.abs(plain) >= 1e6)
-      ? value.toExponential(digits - 1).replace(/\.?0+e/, "e") : String(plain);
-    return text.replaceAll("-", "−");
-  };
-  const breakable = (name) => // a line may end after each _
-    name.split("_").flatMap((part, i) => (i ? ["_", element("wbr"), part] : [part]));
+  const labelled = (dim) => element("span", { html: dim.label });
+  const written = (value) => drawing.written(value, about.digits);
   const percent = (part) =>
     (part > 0 && part < 0.001 ? "<0.1" : part < 0.0995 && part > 0 ? (100 * part).toFixed(1)
       : part < 1 && part >= 0.995 ? ">99" : (100 * part).toFixed(0)) + "\u00a0%";
@@ -97,7 +80,7 @@
     cross: (u, v) => (u + v) % 8 < 1.3 || (u - v + 8000) % 8 < 1.3,
     horizontal_line: (u, v) => v % 6 < 1.4,
     right_diagonal_line: (u, v) => (u + v) % 8 < 1.6,
-    left_diagonal_line: (u, v) => (u - v + 8000) % 8 < 1.6,
+    vertical_line: (u) => u % 6 < 1.4,
     cross_hatch: (u, v) => u % 6 < 1.3 || v % 6 < 1.3,
   };
   const word = (colour) => { // #rrggbb as a pixel
@@ -127,7 +110,7 @@
     const context = canvas.getContext("2d");
     const image = context.createImageData(width, height);
     const pixels = new Uint32Array(image.data.buffer);
-    const palette = about.palettes[metric.signed ? 1 : 0];
+    const palette = about.palettes[metric.palette];
     const nx = x.texts.length;
     const ny = y.texts.length;
     const start = offset(view, 0, 0);
@@ -226,22 +209,6 @@
     }
   };
 
-  // texts at places along a side; those that would touch the one before are left out
-  const tick = (box, ticks, upright) => {
-    box.replaceChildren(...ticks.map(([place, text]) => {
-      const made = element("span", {}, text);
-      made.style[upright ? "top" : "left"] = `${100 * (upright ? 1 - place : place)}%`;
-      return made;
-    }));
-    const ordered = [...box.children].map((one) => [one, one.getBoundingClientRect()]);
-    if (upright) box.style.width = `${8 + Math.max(0, ...ordered.map(([, r]) => r.width))}px`;
-    let last = null;
-    for (const [one, r] of upright ? ordered.reverse() : ordered) {
-      one.hidden = last && (upright ? r.top < last.bottom : r.left < last.right + 6);
-      if (!one.hidden) last = r;
-    }
-  };
-
   // ---- words around the map
 
   const say = (metric, x, y, codes, inside) => {
@@ -264,11 +231,7 @@
   };
   const colours = () => {
     const metric = metrics.get(view.metric);
-    const bar = $("bar").querySelector("canvas");
-    const image = new ImageData(256, 1);
-    new Uint32Array(image.data.buffer).set(about.palettes[metric.signed ? 1 : 0]);
-    bar.getContext("2d").putImageData(image, 0, 0);
-    tick($("bar-ticks"), metric.ticks, false);
+    drawing.colours($("bar"), about.palettes[metric.palette], metric.ticks);
   };
   const axes = () => {
     // the width of the labels on the left decides how wide the map is
@@ -388,75 +351,14 @@
     show();
   });
 
-  // ---- motions: plots as SVG, with real text
+  // ---- motions
 
-  const svg = (tag, attributes = {}, ...children) => {
-    const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
-    for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
-    made.append(...children);
-    return made;
-  };
-  const [W, H, LEFT, BOTTOM] = [320, 190, 58, 26];
-  const round_ticks = (low, high, most) => {
-    const rough = (high - low) / most;
-    const unit = 10 ** Math.floor(Math.log10(rough));
-    const size = unit * [1, 2, 5, 10].find((m) => m * unit >= rough);
-    const found = [];
-    for (let k = Math.ceil(low / size - 1e-9); k * size <= high + 1e-9 * size; k += 1) found.push(k * size);
-    return found;
-  };
-  const ends = (arrays) => {
-    let [low, high] = [Infinity, -Infinity];
-    for (const array of arrays) for (const value of array) {
-      if (value < low) low = value;
-      if (value > high) high = value;
-    }
-    const room = 0.04 * (high - low) || 0.1 * Math.abs(high) || 1;
-    return [low - room, high + room];
-  };
-  const plot = (words, x, y, { level, names: levels } = {}) => {
-    const pins = about.pins.filter((pin) => pin.drawn);
-    const series = pins.map((pin) => [pin.signals[x], pin.signals[y]]);
-    const marks = level ? pins.map((pin) => pin[level]) : [];
-    const [x0, x1] = x !== "x" ? [0, ends(series.map((one) => one[0]))[1]] : ends(series.map((one) => one[0]));
-    const [y0, y1] = ends([...series.map((one) => one[1]), marks]);
-    const u = (value) => LEFT + (value - x0) / (x1 - x0) * (W - LEFT - 8);
-    const v = (value) => H - BOTTOM - (value - y0) / (y1 - y0) * (H - BOTTOM - 8);
-    const number = (value) => written(value, 3);
-    const grid = [];
-    for (const at of round_ticks(x0, x1, 5))
-      grid.push(svg("path", { d: `M${u(at)} 8V${H - BOTTOM}`, stroke: "#e3e3e3" }),
-        svg("text", { x: u(at), y: H - BOTTOM + 15, "text-anchor": "middle" }, number(at)));
-    for (const at of levels ? [0, 1] : round_ticks(y0, y1, 5))
-      grid.push(svg("path", { d: `M${LEFT} ${v(at)}H${W - 8}`, stroke: "#e3e3e3" }),
-        svg("text", { x: LEFT - 5, y: v(at) + 4, "text-anchor": "end" }, levels ? levels[at] : number(at)));
-    for (const at of new Set(marks))
-      grid.push(svg("path", { d: `M${LEFT} ${v(at)}H${W - 8}`, stroke: "#707070" }));
-    const lines = series.map(([a, b], i) => {
-      const d = [];
-      for (let k = 0; k < a.length; k += 1) {
-        const point = `${u(a[k]).toFixed(1)} ${v(b[k]).toFixed(1)}`;
-        d.push(`${k === 0 ? "M" : "L"}${point}`);
-      }
-      const look = pins[i].look;
-      return svg("path", { d: d.join(""), fill: "none", stroke: look.colour, "stroke-width": look.width,
-        "stroke-dasharray": DASHES[look.dash], "stroke-linejoin": "round" });
-    });
-    const frame = svg("rect", { x: LEFT, y: 8, width: W - LEFT - 8, height: H - BOTTOM - 8,
-      fill: "none", stroke: INK });
-    const drawn = svg("svg", { viewBox: `0 0 ${W} ${H}`, role: "img", fill: INK, "aria-label": words },
-      ...grid, ...lines, frame);
-    return element("figure", {}, element("figcaption", {}, words), drawn);
-  };
   const go_to = (pin) => {
     view.at = { ...view.at, ...pin.at };
     view.cell = [pin.at[view.x], pin.at[view.y]];
     show();
     $("map").scrollIntoView({ block: "nearest" });
   };
-  const line_of = (look) =>
-    svg("svg", { width: 44, height: 10, "aria-hidden": "true" }, svg("path", { d: "M0 5H44",
-      stroke: look.colour, "stroke-width": 2.2, "stroke-dasharray": DASHES[look.dash] }));
   const motions = async () => {
     $("motions").append(...about.pins.map((pin) => {
       const button = element("button", { type: "button", ariaLabel: `Show on the map: ${pin.name}` }, "Show");
@@ -479,17 +381,8 @@
     }
     plots();
   };
-  const plots = () => {
-    $("plots").hidden = !about.pins.some((pin) => pin.drawn);
-    if ($("plots").hidden) return;
-    $("plots").replaceChildren(
-      plot("torque T (N·m) over t (s); grey: Td", "t", "T", { level: "Td" }),
-      plot("error e (rad) over t (s)", "t", "e"),
-      plot("position x (rad) over t (s); grey: gap", "t", "x", { level: "gap" }),
-      plot("branch of Algorithm 1 over t (s)", "steps", "branch", { names: ["conv.", "div."] }),
-      plot("Lyapunov function V (J) over t (s)", "t", "V"),
-      plot("phase portrait: velocity v (rad/s) over position x (rad)", "x", "v"));
-  };
+  const plots = () => drawing.plots($("plots"),
+    about.pins.filter((pin) => pin.drawn).map((pin) => ({ ...pin, ...pin.signals, ...pin.look })));
 
   // ---- begin
 
@@ -508,6 +401,7 @@
     colours();
     show();
   }).observe($("fixed"));
+  new ResizeObserver(plots).observe($("runs"));
   for (const metric of about.metrics) await load(metric);
   read(view.cell);
   await motions();

@@ -15,9 +15,9 @@ from typing import Any
 from fic_jax import METRICS, QUANTITIES
 from sweeps import maps
 from sweeps.explore import texts
-from sweeps.explore.cells import REASONS, Map, label, printed, text, ticks, unit
-from sweeps.explore.motion_figures import LOOKS
-from sweeps.explore.picture import HATCHES, MARKS, colour_ends, logarithmic, shades
+from sweeps.explore.cells import REASONS, Map, label, printed, text, unit
+from sweeps.explore.picture import HATCHES, MARKS, PALETTES, bar, colour_ends, logarithmic, shades
+from sweeps.explore.signals import look
 from sweeps.explore.stored import Stored
 from sweeps.explore.view import Value, View
 from sweeps.share.coarse import MANTISSA, Copy
@@ -48,7 +48,7 @@ def page(
     for i, pin in enumerate(pins):
         data |= {f"pin-{i}-{name}": signal for name, signal in pin.signals.items()}
     style = _text("explore", "page.css") + _text("share", "page.css")
-    script = _text("share", "page.js")
+    script = _text("explore", "page.drawing.js") + _text("share", "page.js")
     return Template(_text("share", "page.html")).substitute(
         policy=f"default-src 'none'; img-src data:; script-src {_hash(script)}; "
         f"style-src {_hash(style)}",
@@ -130,7 +130,7 @@ def description(source: Stored, copy: Copy, pins: Sequence[Pin], view: View) -> 
         "dims": [_dimension(source, copy, dim) for dim in copy.kept],
         "reasons": REASONS,
         "looks": HATCHES,
-        "palettes": [shades(name).tolist() for name in ("nmse", *maps.SIGNED_METRICS[:1])],
+        "palettes": [shades(name).tolist() for name in PALETTES],
         "digits": 4 if copy.bits < MANTISSA else 5,
         "converged": copy.converged is not None,
         "pins": [
@@ -146,7 +146,7 @@ def description(source: Stored, copy: Copy, pins: Sequence[Pin], view: View) -> 
                 "Td": float(pin.motion.scenario.params.Td),
                 "gap": float(pin.motion.scenario.params.gap),
                 "mark": mark,
-                "look": {name: values[i] for name, values in LOOKS.items()},
+                "look": look(i),
             }
             for i, (pin, mark) in enumerate(zip(pins, MARKS, strict=False))
         ],
@@ -186,8 +186,6 @@ def _metric(source: Stored, copy: Copy, name: str) -> dict[str, Any]:
     codes = (~metric.known).astype(flat.dtype).astype("u1").reshape(1, -1)
     view = replace(source.start, metric=name)
     low, high = colour_ends(Map(view, axis, axis, flat, codes, "", ""))
-    log = logarithmic(name, low, high)
-    span = math.log(high / low) if log else high - low
     doubt = f": estimated error above {bound(name)}" if name in METRICS else ""
     return {
         "name": name,
@@ -195,13 +193,11 @@ def _metric(source: Stored, copy: Copy, name: str) -> dict[str, Any]:
         "unit": printed(str(attrs["units"])),
         "low": low,
         "high": high,
-        "log": log,
-        "signed": name in maps.SIGNED_METRICS,
-        "ticks": [
-            [(math.log(t / low) if log else t - low) / span, text(t)] for t in ticks(low, high, log)
-        ],
+        "log": logarithmic(name, low, high),
+        **bar(name, low, high),
         "words": {
             "not run": "not run yet",
+            "not trusted": "no value: too many scenarios are not trusted",
             "infinite": maps.INFINITE.get(name, "infinite"),
             "doubtful": f"not trusted{doubt}",
         },

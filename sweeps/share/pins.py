@@ -7,7 +7,7 @@ import numpy as np
 
 from sweeps import maps
 from sweeps.explore.motion import Motion, Scenario, motion
-from sweeps.explore.motion_figures import LOOKS, columns
+from sweeps.explore.signals import LOOKS, columns
 from sweeps.explore.stored import Stored
 from sweeps.explore.view import View
 from sweeps.share.coarse import Copy, encoded

@@ -5,6 +5,7 @@ import pytest
 
 from sweeps import runner
 from sweeps.spec.reading import parse
+from tests.pages import browser  # noqa: F401  a fixture
 
 CUBE = """
 name = "cube"

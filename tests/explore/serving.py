@@ -1,15 +1,13 @@
-"""The explorer's server as a process, and a browser; both end with the test."""
+"""The explorer's server as a process, which ends with the test."""
 
 import os
 import select
-import shutil
 import signal
 import subprocess
 from contextlib import contextmanager
 
 from tests.command import FIC_SWEEP
 
-CHROMIUM = shutil.which("chromium")
 START = 60  # s until the server listens, on a busy machine
 
 

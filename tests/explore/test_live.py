@@ -12,6 +12,7 @@ from sweeps.explore import live
 from sweeps.explore.cells import REASONS
 from sweeps.explore.live import Live
 from sweeps.explore.motion import MOST_SAMPLES, motion
+from sweeps.explore.server import picture
 from sweeps.explore.view import Range, ViewError, changed
 from sweeps.spec.reading import load, parse
 from sweeps.store.opening import dataset
@@ -216,3 +217,7 @@ def test_a_stale_map_is_given_up(source):
 
     assert source.map(source.start, SMALL, stale) is None
     assert len(asked) == 3
+
+
+def test_a_picture_of_a_map_is_drawn(source, strict):
+    assert b"<svg" in picture(source, view_of(source), "svg")[:500]

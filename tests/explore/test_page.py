@@ -2,7 +2,6 @@
 
 import json
 import threading
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -10,22 +9,12 @@ import pytest
 from fic_jax import Params, sweep
 from sweeps import runner
 from sweeps.store.opening import open_store
+from tests import pages
 from tests.explore.conftest import CUBE, ran
-from tests.explore.serving import CHROMIUM, serving
+from tests.explore.serving import serving
+from tests.pages import expect
 
-playwright = pytest.importorskip("playwright.sync_api", reason="no playwright (extra `test`)")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium: `apt-get install chromium`")
-
-WAIT = 30_000  # ms, on a busy machine
 SHORT = "t_end=1.0"  # s: what is tested does not depend on the length of a run
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with playwright.sync_playwright() as driver:
-        made = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield made
-        made.close()
 
 
 @pytest.fixture(scope="module")
@@ -40,19 +29,9 @@ def stored(cube):
         yield link
 
 
-@contextmanager
-def opened(browser, link, width=1280, height=900, complaints=(), **more):
-    """A page whose map is there. No script of it may fail, but with known complaints."""
-    context = browser.new_context(viewport={"width": width, "height": height}, **more)
-    page = context.new_page()
-    page.set_default_timeout(WAIT)
-    failed = []
-    page.on("pageerror", lambda error: failed.append(str(error)))
-    page.goto(link)
-    settle(page)
-    yield page
-    context.close()
-    assert [one for one in failed if not one.startswith(complaints)] == []
+def opened(browser, link, **more):
+    """A page whose map is there."""
+    return pages.opened(browser, link, settle, **more)
 
 
 def settle(page):
@@ -164,11 +143,11 @@ def test_a_copied_link_shows_the_same(browser, live):
         page.wait_for_function("window.explorer.said().view.pins === 1")
         settle(page)
         page.get_by_role("button", name="Copy link").click()
-        playwright.expect(page.locator("#copied")).to_contain_text("link", timeout=WAIT)
+        expect(page.locator("#copied")).to_contain_text("link")
         link = page.evaluate("navigator.clipboard.readText()")
         image, words = pixels(page), said(page)
         page.get_by_role("button", name="Copy as sweep file").click()
-        playwright.expect(page.locator("#copied")).to_contain_text("sweep file", timeout=WAIT)
+        expect(page.locator("#copied")).to_contain_text("sweep file")
         assert "Td = 8.0" in page.evaluate("navigator.clipboard.readText()")
     with opened(browser, link) as page:
         motions(page, 2)  # the cell, and the same cell pinned
@@ -189,10 +168,10 @@ def test_a_diverging_scenario_is_a_hatch_and_a_wrong_value_a_line(browser, live)
         entry.fill("0.5")
         entry.press("Enter")
         notice = page.get_by_role("alert")
-        playwright.expect(notice).to_contain_text("must be greater than x0", timeout=WAIT)
+        expect(notice).to_contain_text("must be greater than x0")
         entry.fill("0.05")
         entry.press("Enter")
-        playwright.expect(notice).to_have_text("", timeout=WAIT)
+        expect(notice).to_have_text("")
 
 
 def test_a_narrow_screen_has_all_and_scrolls_down_alone(browser, live):
@@ -211,6 +190,9 @@ def test_all_controls_have_names_and_are_reached_by_keys(browser, live):
         nameless = """Array.from(document.querySelectorAll("input, select, button, a")).filter(
             (one) => !(one.ariaLabel || one.labels?.length || one.textContent.trim()))"""
         assert page.evaluate(f"{nameless}.length") == 0
+        page.locator("#map").focus()
+        page.keyboard.press("Tab")
+        assert page.evaluate("document.activeElement.id") == "fit"
         reached = set()
         for _ in range(60):
             page.keyboard.press("Tab")
@@ -225,11 +207,11 @@ def test_malformed_and_oversized_events_are_refused(browser, live):
         event = "Bokeh.documents[0].get_model_by_name('events').data = {json: [%s]}"
         page.evaluate(event % "'nonsense'")
         notice = page.get_by_role("alert")
-        playwright.expect(notice).to_contain_text("an event that is none", timeout=WAIT)
+        expect(notice).to_contain_text("an event that is none")
         click(page, 0.5, 0.5)
         motions(page, 1)
         page.evaluate(event % "'x'.repeat(100000)")  # the server hangs up, and the page comes back
-        with page.expect_navigation(timeout=WAIT):
+        with page.expect_navigation(timeout=pages.WAIT):
             pass
         settle(page)
         motions(page, 1)
@@ -265,6 +247,20 @@ def test_a_store_is_cut_and_reduced(browser, stored, cube):
         assert (pixels(page) != before).any()
 
 
+def test_older_words_do_not_set_a_control_back(browser, stored):
+    with opened(browser, stored) as page:
+        checked = page.evaluate("""() => {
+          const box = document.querySelector('input[name="over.Td"]');
+          const before = JSON.stringify(window.explorer.said());
+          box.click();
+          Bokeh.documents[0].get_model_by_name("words").data = { json: [before] };
+          return box.checked;
+        }""")
+        assert checked
+        page.wait_for_function("window.explorer.said().view.over.length === 1")
+        assert page.locator('input[name="over.Td"]').is_checked()
+
+
 def test_a_running_sweep_fills_in(browser, tmp_path):
     path = ran(tmp_path / "cube.zarr", CUBE, chunk=12, blocks=[0, 1])
     with serving(path) as link, opened(browser, f"{link}?contact=hard_stop&Td=1.0") as page:
@@ -273,4 +269,4 @@ def test_a_running_sweep_fills_in(browser, tmp_path):
         rest.start()
         page.wait_for_function("!document.querySelector('#legend .not-run')")
         rest.join(timeout=60)
-        playwright.expect(page.locator("#state")).to_have_text("", timeout=WAIT)
+        expect(page.locator("#state")).to_have_text("")

@@ -4,6 +4,7 @@ import http.client
 import json
 import socket
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
 from unittest.mock import patch
 from urllib.parse import urlsplit
@@ -23,11 +24,11 @@ def link(cube):
         yield link
 
 
-def get(link, path, **headers):
+def get(link, path, method="GET", **headers):
     """Status and body; `Host` is the link's unless given."""
     place = urlsplit(link)
     with closing(http.client.HTTPConnection(place.hostname, place.port, timeout=20)) as connection:
-        connection.putrequest("GET", path, skip_host="Host" in headers)
+        connection.putrequest(method, path, skip_host="Host" in headers)
         for name, value in headers.items():
             connection.putheader(name, value)
         connection.endheaders()
@@ -88,12 +89,52 @@ def test_a_link_on_a_foreign_page_can_be_followed(link):
         "/cube.zarr/zarr.json",
         "//evil.example/",
         "/nothing",
+        "/static/%00",
+        "/static/js/bokeh.min.js",
+        "/%00",
+        "/%ff%zz%",
+        "/" + 5_000 * "a/",
+        "/autoload.js?bokeh-autoload-element=x",
+        "/metadata",
     ],
 )
 def test_there_is_nothing_else_to_read(link, path):
     status, body = get(link, path)
     assert status in (400, 403, 404)
     assert "root:" not in body
+
+
+@pytest.mark.parametrize("method", ["POST", "OPTIONS", "FOO", "TRACE"])
+@pytest.mark.parametrize("path", ["/", "/ws", "/view.py", "/autoload.js", "/static/%00"])
+def test_other_methods_are_refused(link, method, path):
+    assert 400 <= get(link, path, method)[0] < 500
+
+
+def test_a_tunnel_with_another_port_is_told_what_to_do(link):
+    port = urlsplit(link).port
+    status, body = get(link, "/", Host="localhost:9000")
+    assert status == 403
+    assert "\n" not in body
+    assert "the request is for localhost:9000" in body
+    assert f"ssh -L {port}:127.0.0.1:{port}" in body
+    assert "--port 9000" in body
+    assert "--host ADDRESS" in get(link, "/", Host=f"evil.example:{port}")[1]
+    assert "by itself" in get(link, "/", Origin="http://evil.example")[1]
+
+
+def test_there_are_at_most_so_many_pages(cube):
+    with serving(cube) as link:
+        answers = [get(link, "/") for _ in range(server.MOST_PAGES + 1)]
+        assert [status for status, _ in answers] == [200] * server.MOST_PAGES + [503]
+        assert f"{server.MOST_PAGES} pages of this program are open" in answers[-1][1]
+
+
+def test_at_most_so_many_pictures_wait(link):
+    with ThreadPoolExecutor(3 * server.MOST_PICTURES) as pool:
+        asked = [pool.submit(get, link, "/picture.png") for _ in range(3 * server.MOST_PICTURES)]
+    found = [one.result() for one in asked]
+    assert {status for status, _ in found} == {200, 503}
+    assert all("pictures wait" in body for status, body in found if status == 503)
 
 
 @pytest.mark.parametrize(
@@ -161,7 +202,7 @@ def test_a_malformed_event_is_refused(line):
 
 def test_a_well_formed_event_is_taken():
     line = json.dumps({"do": "tap", "x": 0.5, "y": 1, "pin": True, "n": 7})
-    assert _event({"json": [line]}) == {"do": "tap", "x": 0.5, "y": 1, "pin": True}
+    assert _event({"json": [line]}) == json.loads(line)
 
 
 def test_it_listens_on_this_machine_alone():

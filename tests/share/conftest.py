@@ -3,6 +3,7 @@
 import pytest
 
 from tests.explore.conftest import ran
+from tests.pages import browser  # noqa: F401  a fixture
 
 EVIL = "</script><img src=x onerror=\"document.title='run'\"><b>A joint</b> & 'more'"
 JOINT = f"""

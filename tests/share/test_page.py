@@ -1,30 +1,17 @@
 """The file in headless Chromium, from file:// and without a network."""
 
 import json
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
 
 from sweeps.store.opening import dataset
+from tests import pages
 from tests.command import typed
 from tests.explore.conftest import ran
-from tests.explore.serving import CHROMIUM
 from tests.share.conftest import EVIL, JOINT
 
-playwright = pytest.importorskip("playwright.sync_api", reason="no playwright (extra `test`)")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium: `apt-get install chromium`")
-
-WAIT = 30_000  # ms, on a busy machine
 PIN = {"K0": 100.0, "Kenv": 100.0, "Td": 5.0, "contact": "hard_stop"}
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with playwright.sync_playwright() as driver:
-        made = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield made
-        made.close()
 
 
 @pytest.fixture(scope="module")
@@ -36,23 +23,14 @@ def file(joint, tmp_path_factory):
     return made
 
 
-@contextmanager
-def opened(browser, file, width=1280, height=900, **more):
-    """A page that is ready. It has asked for nothing but itself, and no script of it has failed."""
-    context = browser.new_context(viewport={"width": width, "height": height}, **more)
-    context.set_offline(True)
-    page = context.new_page()
-    page.set_default_timeout(WAIT)
-    failed, asked = [], []
-    page.on("pageerror", lambda error: failed.append(str(error)))
-    page.on("console", lambda message: message.type == "error" and failed.append(message.text))
-    page.on("request", lambda request: asked.append(request.url))
-    page.goto(file.as_uri())
-    page.wait_for_selector("html[data-ready]")
-    yield page
-    context.close()
-    assert not failed
-    assert [url for url in asked if not url.startswith("data:")] == [file.as_uri()]
+def opened(browser, file, **more):
+    """A page that is ready; it asks for nothing but itself."""
+    return pages.opened(browser, file.as_uri(), ready, alone=True, offline=True, **more)
+
+
+def ready(page):
+    """Wait until a page has read its data."""
+    page.wait_for_selector("html[data-ready]", timeout=pages.WAIT)
 
 
 def drawn(page):
@@ -204,7 +182,7 @@ def test_the_policy_of_the_page_stops_what_would_be_loaded_or_run(browser, file,
     sent = []
     page.on("response", lambda response: sent.append(response.url))
     page.goto(broken.as_uri())
-    page.wait_for_selector("html[data-ready]", timeout=WAIT)
+    ready(page)
     assert page.title() == EVIL
     assert sent == [broken.as_uri()]
     context.close()
