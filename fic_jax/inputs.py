@@ -2,7 +2,6 @@
 
 import difflib
 import operator
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from decimal import Decimal
 from numbers import Real
@@ -63,17 +62,15 @@ def hint(
     ]
     begun = [
         name
-        for name in known
-        if len(given) > 2 and any(part.startswith(given) for part in re.split("[_-]", name.lower()))
+        for word, name in lower.items()
+        if len(given) > 2 and f"_{given}" in f"_{word.replace('-', '_')}"
     ]
-
-    def near(likeness: float) -> list[str]:
-        return [lower[name] for name in difflib.get_close_matches(given, lower, 1, likeness)]
-
     if given in lower:
         meant = [lower[given]]
-    else:  # at 0.5, conv is like Kenv; of two letters one may be wrong
-        meant = described or near(0.85) or begun or near(0.6 if len(given) > 2 else 0.5)
+    elif not (meant := described or begun):
+        likeness = 0.6 if len(given) > 2 else 0.5  # at 0.5, conv is like Kenv, but also k3 like K0
+        near = difflib.get_close_matches(given, lower, n=1, cutoff=likeness)
+        meant = [lower[word] for word in near]
     if not meant:
         return "; known are " + ", ".join(known)
     names = [f"`{name}` ({known[name]})" if known[name] else f"`{name}`" for name in meant]
