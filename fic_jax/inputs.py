@@ -61,17 +61,16 @@ def hint(
         if given in (*meaning.lower().replace(",", "").split(), *other_words.get(name, ()))
     ]
     begun = [
-        lower[name]
-        for name in lower
-        if len(given) > 2 and f"_{given}" in "_" + name.replace("-", "_")
+        name
+        for word, name in lower.items()
+        if len(given) > 2 and f"_{given}" in f"_{word.replace('-', '_')}"
     ]
     if given in lower:
         meant = [lower[given]]
-    else:  # of two letters one may be wrong
-        closest = difflib.get_close_matches(given, lower, 1, 0.6 if len(given) > 2 else 0.5)
-        sure = difflib.get_close_matches(given, closest, 1, 0.85)  # at 0.5, conv is like Kenv
-        near = [lower[name] for name in closest]
-        meant = described or (near if sure else begun or near)
+    elif not (meant := described or begun):
+        likeness = 0.6 if len(given) > 2 else 0.5  # at 0.5, conv is like Kenv, but also k3 like K0
+        near = difflib.get_close_matches(given, lower, n=1, cutoff=likeness)
+        meant = [lower[word] for word in near]
     if not meant:
         return "; known are " + ", ".join(known)
     names = [f"`{name}` ({known[name]})" if known[name] else f"`{name}`" for name in meant]

@@ -64,7 +64,7 @@ def check_place(place: str) -> int:
 def refuse_refined(sweep: Sweep) -> None:
     """Raise SweepError for a refined sweep: which cells it needs, its process alone knows."""
     if sweep.refine:
-        why = "is refined, which one process does; run it without a cluster"
+        why = "is refined, and each round needs the values of all cells; run it without a cluster"
         raise SweepError(f"{sweep.name}: {why}")
 
 

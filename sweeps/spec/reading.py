@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from pydantic import ValidationError
 from sweeps.spec import rules
 from sweeps.spec.mistakes import SweepError, explain, explain_toml, printable
 from sweeps.spec.overrides import override
+from sweeps.spec.rules import Wrong
 from sweeps.spec.types import Sweep
 
 MAX_FILE = 1_000_000  # bytes: the TOML reader takes 4 s for a list that long
@@ -82,14 +84,15 @@ def validate(raw: dict[str, Any], source: str) -> Sweep:
     """Check a plain record. Raises SweepError; each line begins with `source`."""
     if _more_keys_than(raw, MAX_KEYS):
         raise SweepError(f"{source}: must have at most {MAX_KEYS:,} keys, but has more.")
-    sweep, lines = _without_wrong_entries(raw)
+    sweep, lines, wrong = _without_wrong_entries(raw)
     if sweep:
         lines += rules.unknown_names(sweep)
-        lines += rules.reduction(sweep)
-        lines += rules.refinement(sweep)
+        lines += rules.reduction(sweep, wrong)
+        lines += rules.refinement(sweep, wrong)
         known = rules.known_names(sweep)
-        for stage in (rules.placement, rules.time_grid, rules.fields_out_of_bounds):
-            lines += stage(known)
+        lines += rules.placement(known)
+        lines += [] if wrong.any("time") else rules.time_grid(known)
+        lines += rules.fields_out_of_bounds(known)
         if not lines:  # otherwise these could follow from another mistake
             lines += [*rules.nothing_swept(sweep), *rules.pairs_out_of_bounds(sweep)]
     if lines or not sweep:
@@ -97,16 +100,16 @@ def validate(raw: dict[str, Any], source: str) -> Sweep:
     return sweep
 
 
-def _without_wrong_entries(raw: dict[str, Any]) -> tuple[Sweep | None, list[str]]:
-    """The record as a Sweep without its wrong entries, and a line for each of these.
+def _without_wrong_entries(raw: dict[str, Any]) -> tuple[Sweep | None, list[str], Wrong]:
+    """The record as a Sweep without its wrong entries, a line for each of these, and their names.
 
     None instead of the Sweep if what is left is none.
     """
     try:
-        return Sweep.model_validate(raw), []
+        return Sweep.model_validate(raw), [], Wrong()
     except ValidationError as errors:
         wrong = errors.errors()
-    rest = {key: dict(table) if isinstance(table, dict) else table for key, table in raw.items()}
+    rest = deepcopy(raw)
     for error in wrong:
         _remove(rest, [str(part) for part in error["loc"]])
     try:
@@ -121,20 +124,32 @@ def _without_wrong_entries(raw: dict[str, Any]) -> tuple[Sweep | None, list[str]
         for error, line in zip(wrong, lines, strict=True)
         if not (error["type"] == "missing" and f"`{error['loc'][-1]}`?" in misspelt)
     ]
-    return sweep, list(dict.fromkeys(kept))
+    places = frozenset(".".join(str(part) for part in error["loc"][:2]) for error in wrong)
+    return sweep, list(dict.fromkeys(kept)), Wrong(places)
 
 
 def _remove(record: dict[str, Any], place: list[str]) -> None:
     """Remove the entry at a place of a record, and what can't be checked without it."""
     table = record.get(place[0])
-    if place[0] in ("sample", "reduce", "refine") or len(place) < 2 or not isinstance(table, dict):
+    if place[0] == "sample" or len(place) < 2 or not isinstance(table, dict):
         record.pop(place[0], None)
         return
-    table.pop(place[1], None)
+    inner = table.get(place[1])
+    if place[0] in ("reduce", "refine") and len(place) > 2 and isinstance(inner, dict):
+        inner.pop(place[2], None)
+    else:
+        table.pop(place[1], None)
+    name = ".".join(place[:2])
+    if name in _NEUTRAL:
+        table[place[1]] = _NEUTRAL[name]
     if place[0] == "time":  # a period is compared with dt
         for other in ("constants", "axes", "cases"):
             if isinstance(record.get(other), dict):
                 record[other].pop("period", None)
+
+
+# What stands for a wrong entry that a table needs, so that its other entries are checked.
+_NEUTRAL: dict[str, Any] = {"reduce.over": [""], "refine.levels": 1, "refine.classes": []}
 
 
 def _mistakes(source: str, lines: list[str]) -> SweepError:

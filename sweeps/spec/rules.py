@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Container, Iterator
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -32,6 +33,27 @@ _SHARE = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,49}")  # `data.calm_share` of a sto
 TABLES = ("constants", "axes", "cases")
 
 
+@dataclass(frozen=True)
+class Wrong:
+    """The entries that were left out of a Sweep for their types, as `axes.K0`.
+
+    What follows from their absence is no mistake.
+    """
+
+    places: frozenset[str] = frozenset()
+
+    def any(self, *keys: str) -> bool:
+        """Whether one of some tables or keys has a wrong entry, or is one."""
+        return any(
+            place == key or place.startswith(f"{key}.") for place in self.places for key in keys
+        )
+
+    @property
+    def dimensions(self) -> bool:
+        """Whether a dimension may be missing."""
+        return self.any("axes", "model", "cases", "sample")
+
+
 def unknown_names(sweep: Sweep) -> Iterator[str]:
     """Fields, choices and metrics that do not exist; choices and metrics listed twice."""
     for table, fields in sweep.values_to_check().items():
@@ -59,13 +81,14 @@ def unknown_names(sweep: Sweep) -> Iterator[str]:
         yield f"`metrics` must be different from each other, but is {sweep.metrics}."
 
 
-def reduction(sweep: Sweep) -> Iterator[str]:
+def reduction(sweep: Sweep, wrong: Wrong) -> Iterator[str]:
     """Dimensions, metrics and conditions of a `[reduce]` that the sweep does not have."""
     if not (reduce := sweep.reduce):
         return
-    yield from _dimensions(list(sweep.dims), reduce)
+    yield from _dimensions(list(sweep.dims), reduce, wrong)
     metrics = list(sweep.metrics)
-    if not (reduce.metrics or reduce.share or reduce.best):  # `best` wants `by`, which is one
+    # `best` wants `by`, which is one
+    if not (reduce.metrics or reduce.share or reduce.best or wrong.any("reduce")):
         yield "`reduce` must name a statistic (max, min, mean, std, quantiles, share or best)."
     for key in ("max", "min", "mean", "std", "quantiles", "by"):
         listed = getattr(reduce, key) or []
@@ -82,11 +105,11 @@ def reduction(sweep: Sweep) -> Iterator[str]:
     yield from _reduced_sizes(sweep, reduce)
 
 
-def _dimensions(dims: list[str], reduce: Reduction) -> Iterator[str]:
+def _dimensions(dims: list[str], reduce: Reduction, wrong: Wrong) -> Iterator[str]:
     """Dimensions that go must be there, each once, and leave one."""
     for key, wanted in (("over", reduce.over), ("best", [reduce.best] if reduce.best else [])):
         for name in wanted:
-            if name not in dims:
+            if name not in dims and not (wrong.dimensions or wrong.any(f"reduce.{key}")):
                 held = " (which the sweep holds constant)" if name in QUANTITIES else ""
                 there = f"; there are {', '.join(dims)}" if held else hint(name, dims)
                 yield f"`reduce.{key}` must name dimensions, but has `{name}`{held}{there}"
@@ -94,10 +117,10 @@ def _dimensions(dims: list[str], reduce: Reduction) -> Iterator[str]:
         yield f"`reduce.over` must be different from each other, but is {reduce.over}."
     if reduce.best in reduce.over:
         yield f"`reduce.best` must be a dimension that is not in `reduce.over`: `{reduce.best}`."
-    if (reduce.best is None) != (reduce.by is None):
+    if (reduce.best is None) != (reduce.by is None) and not wrong.any("reduce.best", "reduce.by"):
         given, missing = ("by", "best") if reduce.best is None else ("best", "by")
         yield f"`reduce.{missing}` must be given with `reduce.{given}`, but is missing."
-    if dims and not set(dims) - set(reduce.gone):
+    if dims and not set(dims) - set(reduce.gone) and not wrong.dimensions:
         yield "`reduce` must leave a dimension of the sweep, but `over` and `best` take all."
 
 
@@ -139,15 +162,17 @@ def _reduced_sizes(sweep: Sweep, reduce: Reduction) -> Iterator[str]:
         )
 
 
-def refinement(sweep: Sweep) -> Iterator[str]:
+def refinement(sweep: Sweep, wrong: Wrong) -> Iterator[str]:
     """What a `[refine]` names that the sweep does not have, and grids that are too large."""
     if not (refine := sweep.refine):
         return
     for table in ("sample", "reduce"):
-        if getattr(sweep, table):
+        if getattr(sweep, table) or wrong.any(table):
             yield f"`refine` must be without `{table}`, but both are given."
     axes = refine.axes or []
     for name in axes:
+        if wrong.any("axes") and name not in sweep.axes:
+            continue
         if name not in sweep.axes:
             yield f"`refine.axes` must name axes, but has `{name}`{hint(name, sweep.axes)}"
         elif not isinstance(sweep.axes[name], SpacedRange):
@@ -155,16 +180,17 @@ def refinement(sweep: Sweep) -> Iterator[str]:
             yield f"`refine.axes` must name ranges such as {example}, but `{name}` is a list."
     if len(set(axes)) < len(axes):
         yield f"`refine.axes` must be different from each other, but is {axes}."
-    if not (sweep.refined or sweep.sample):
+    if not (sweep.refined or sweep.sample or wrong.dimensions):
         yield "`refine` must have an axis that is a range, but there is none."
-    yield from _differences(sweep, refine)
-    yield from _refined_sizes(sweep, refine)
+    yield from _differences(sweep, refine, wrong)
+    if not wrong.any("refine.levels", "refine.budget"):
+        yield from _refined_sizes(sweep, refine)
 
 
-def _differences(sweep: Sweep, refine: Refinement) -> Iterator[str]:
+def _differences(sweep: Sweep, refine: Refinement, wrong: Wrong) -> Iterator[str]:
     """What may differ in a box: conditions and metrics."""
     metrics = list(sweep.metrics)
-    if not (refine.classes or refine.absolute or refine.relative):
+    if not (refine.classes or refine.absolute or refine.relative or wrong.any("refine")):
         yield "`refine` must name classes or a metric (absolute, relative), but has neither."
     default = "" if "classes" in refine.model_fields_set else " (the default)"
     for text in refine.classes:

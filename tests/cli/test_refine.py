@@ -126,7 +126,10 @@ def test_a_wrong_table_is_one_line(folder, table, words):
     ("arguments", "words"),
     [
         (("run", "border.toml", "--shard", "1/2"), "which no shard knows of the others"),
-        (("run", "border.toml", "--dask", "local:2"), "one process does; run it without a cluster"),
+        (
+            ("run", "border.toml", "--dask", "local:2"),
+            "each round needs the values of all cells; run it without a cluster",
+        ),
         (("run", "drawn.toml"), "`refine` must be without `sample`, but both are given."),
         (("run", "few.toml"), "has `convergence_time` .the default.; `metrics` lacks it"),
         (("run", "even.toml"), "`axes.period` must be a whole multiple of dt"),

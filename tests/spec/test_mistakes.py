@@ -71,7 +71,7 @@ WRONG = {
     'name = "a"': "`axes` must name at least one quantity to sweep, but is empty.",
     'name = "a/b"\n[axes]\nK0 = [1.0]': "`name` must be letters, digits",
     "[axes]\nK0 = [1.0]": "`name` must be given, but is missing.",
-    'metrics = ["nms"]\n' + GOOD: "unknown metric `nms`; did you mean `nmse`?",
+    'metrics = ["nms"]\n' + GOOD: "unknown metric `nms`; did you mean `nmse` or `nmse_tail`?",
     "error_estimate = 1\n" + GOOD: "`error_estimate` must be true or false, but is 1.",
     "x = ": "not valid TOML",
     "name = " + "[" * 5000: "not valid TOML",
@@ -104,6 +104,18 @@ def test_a_mistake_gets_one_clear_line(text, message):
         ('name = 3\n[time]\ndt = "x"\n[axes]\nperiod = [0.002]', 2),  # dt is not known
         ('name = "a"\n[time]\ndt = -1.0\n[axes]\nK0 = ["a"]', 2),  # an axis was meant
         ('name = "a"\n[sample]\nranges = { Td = 3 }\n[constants]\nI = -1.0', 3),
+        # a wrong type in a table, and what its other keys name
+        (GOOD + '[refine]\nlevels = "x"\naxes = ["Td"]\nclasses = ["nms < 1"]\nabsolute = 3', 4),
+        (GOOD + "[refine]\nlevels = 1\nclasses = 3\nrelative = { nms = 1 }\nbudget = 1", 3),
+        (GOOD + "[refine]\nlevels = 1\nabsolute = { nmse = -1, nms = 1 }", 2),
+        (GOOD + "[refine]\nlevels = 1.5", 1),
+        (GOOD + '[reduce]\nover = 3\nmax = ["nms"]\nshare = { a = "nms < 1" }', 3),
+        (GOOD + 'Td = [1, 2]\n[reduce]\nover = ["Te"]\nmax = 3\nbest = "x"', 4),
+        (GOOD + 'Td = [1, 2]\n[reduce]\nover = ["Td"]\nquantiles = { nmse = 3, nms = [1] }', 2),
+        # what follows from a wrong type is no mistake of its own
+        ('name = "a"\n[axes]\nK0 = "x"\n[refine]\nlevels = 1\naxes = ["K0"]', 1),
+        ('name = "a"\n[axes]\nK0 = "x"\nTd = [1]\n[reduce]\nover = ["K0"]\nmax = ["nmse"]', 1),
+        (GOOD + '[time]\ndt = "x"\nt_end = 0.015', 1),
     ],
 )
 def test_each_mistake_gets_a_line(text, lines):
@@ -199,7 +211,7 @@ KEYS = list(Sweep.model_fields)
         ("contact", STORED, ["contact_time", "contact_lost"]),
         ("settles", STORED, []),
         ("K0", STORED, []),
-        ("nms", STORED, ["nmse"]),
+        ("nms", STORED, ["nmse", "nmse_tail"]),
         ("k3", FIELDS, ["K0"]),
         ("metric", KEYS, ["metrics"]),
         ("axis", KEYS, ["axes"]),
