@@ -161,10 +161,10 @@ class Hand:
     new: bool = True  # a nanny does not restart a worker that dies while it is being started
 
     def free_for(self, task: Task) -> bool:
-        """Whether it may get a task: a suspect is alone."""
+        """Whether it may get a task: a suspect is alone, and for no new worker."""
         if task.suspect or any(other.suspect for other in self.tasks.values()):
             return not self.tasks and not self.new
-        return len(self.tasks) < WINDOW and not self.new
+        return len(self.tasks) < WINDOW
 
 
 @dataclass(frozen=True)

@@ -383,6 +383,13 @@ def test_suspects_are_alone():
     assert not hand.free_for(task)
 
 
+def test_a_new_worker_computes_at_once_but_no_suspect():
+    """Its nanny would not restart it if it died now."""
+    hand = cluster.Hand("tcp://a:1", None)
+    assert hand.free_for(Task(1))
+    assert not hand.free_for(Task(2).after_death(alone=True))
+
+
 def test_the_script_of_the_page(tmp_path, whole):
     """docs/clusters.md, as a user's own file."""
     page = (Path(__file__).parent.parent.parent / "docs" / "clusters.md").read_text("utf-8")
