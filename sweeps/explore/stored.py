@@ -160,13 +160,15 @@ class Stored:
 
     @property
     def start(self) -> View:
-        """The first two numeric axes, K0 upright, and the rest at its middle."""
-        numeric = [d for d in self.grid.dims if d not in self.space.words and d != "case"]
-        dims = [*numeric, *(dim for dim in self.grid.dims if dim not in numeric)]
+        """The two numeric axes with most values, the first upright, and the rest at its middle."""
+        dims = self.grid.dims
+        words = {*self.space.words, "case"}
+        two = sorted(dims, key=lambda dim: (dim in words, -dims[dim]))[:2]
+        y, x = sorted(two, key=lambda dim: (dim in words, [*dims].index(dim)))
         metrics = self.space.metrics
         by = [name for name in metrics if name.endswith("_at_best")]
         metric = "nmse" if "nmse" in metrics else (*by, *metrics)[0]
-        return View(metric, dims[1], dims[0], self.defaults)
+        return View(metric, x, y, self.defaults)
 
     def opened(self, view: View) -> View:
         """The view of an address at the nearest values that were run."""
