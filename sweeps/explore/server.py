@@ -109,7 +109,7 @@ def say(handler: RequestHandler, status: int, line: str) -> None:
 
 def refused_host(host: str, address: str, port: int) -> str:
     """Why a request for `host` is refused, and what to do; one line."""
-    from sweeps.spec.mistakes import printable
+    from sweeps.spec.mistakes import command, printable
 
     shown = printable(host)
     with suppress(ValueError):
@@ -123,7 +123,7 @@ def refused_host(host: str, address: str, port: int) -> str:
             )
     return (
         f"This program answers at {address}:{port} alone, but the request is for {shown}; "
-        "`fic-sweep explore --host ADDRESS` listens at another address of this machine."
+        f"{command('explore', '--host', 'ADDRESS')} listens at another address of this machine."
     )
 
 
