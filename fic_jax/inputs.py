@@ -45,6 +45,9 @@ class UnknownFieldError(ParamsError, TypeError):
         self.args = (f"unknown field `{key}` of {record}{hint(key, known)}",)
 
 
+MOST_MEANT = 4  # more, as for `of`, would be no hint
+
+
 def hint(
     word: str, known: Mapping[str, str], other_words: Mapping[str, Sequence[str]] = NO_OTHERS
 ) -> str:
@@ -62,15 +65,14 @@ def hint(
     ]
     begun = [
         name
-        for word, name in lower.items()
-        if len(given) > 2 and f"_{given}" in f"_{word.replace('-', '_')}"
+        for small, name in lower.items()
+        if len(given) > 2 and f"_{given}" in f"_{small.replace('-', '_')}"
     ]
-    if given in lower:
-        meant = [lower[given]]
-    elif not (meant := described or begun):
+    meant = [lower[given]] if given in lower else described or begun
+    if not 0 < len(meant) <= MOST_MEANT:
         likeness = 0.6 if len(given) > 2 else 0.5  # at 0.5, conv is like Kenv, but also k3 like K0
         near = difflib.get_close_matches(given, lower, n=1, cutoff=likeness)
-        meant = [lower[word] for word in near]
+        meant = [lower[small] for small in near]
     if not meant:
         return "; known are " + ", ".join(known)
     names = [f"`{name}` ({known[name]})" if known[name] else f"`{name}`" for name in meant]

@@ -39,8 +39,8 @@ class Params(Displayed):
     """The numbers of one scenario (scalars), or of N scenarios ([N] leaves), in SI units.
 
     The defaults are the paper's: a rotation about one axis (Sec. IV). A sweep may vary each field.
-    Raises ParamsError for a text or a complex number. A leaf of a pytree may be anything else: JAX
-    wants tracers, shapes, None or a PartitionSpec there. What computes checks the numbers.
+    Raises ParamsError for a text or a complex number. All else is checked by what computes: JAX
+    wants tracers, shapes, None or a PartitionSpec in the leaves. `jax.tree.map` makes labels.
     """
 
     K0: Scalar = _quantity(100.0, "N*m/rad", "constant stiffness of the controller", "positive")
@@ -87,7 +87,7 @@ def meaning(about: Mapping[str, str]) -> str:
 
 
 QUANTITIES = {f.name: f.metadata for f in dataclasses.fields(Params)}
-NO_NUMBERS = (str, bytes, complex)
+NO_NUMBERS = (str, bytes, complex, np.complexfloating)
 _leaves = operator.attrgetter(*QUANTITIES)
 _KEYS = [jax.tree_util.GetAttrKey(name) for name in QUANTITIES]
 

@@ -84,12 +84,13 @@ def run(
     chunk: most cells of a block
     on_progress: is called with a `runner.Progress` after each block; `print` shows a line for each
 
-    The run has the precision of the sweep, and JAX that of the caller again afterwards.
+    The run has the precision of the sweep, whatever JAX's is.
 
     A block that could not be computed is set aside: `Counts.of(store).set_aside` names it. Raises
     SweepError for a wrong request, OSError if the disk or the cluster fails, KeyboardInterrupt
-    after Ctrl-C, or a notebook's stop button, and the block that is being computed (at once after
-    a second one); finished blocks stay. What may surprise in the sweep is a warning.
+    after Ctrl-C, or a notebook's stop button, and the block that is being computed (after a second
+    one, its part that is being computed); finished blocks stay. What may surprise in the sweep is a
+    warning.
     """
     from sweeps.spec.mistakes import SweepError
     from sweeps.stopping import stopped_between_blocks
@@ -108,8 +109,6 @@ def _run(
     chunk: int | None,
     on_progress: "OnProgress",
 ) -> "Store":
-    import jax
-
     from sweeps import runner
     from sweeps.spec.warnings import warnings_of
     from sweeps.store.create import taken_back_if_refused
@@ -122,21 +121,16 @@ def _run(
 
         refuse_refined(sweep)
     place = Path(path or f"{sweep.name}.zarr")
-    callers = jax.config.jax_enable_x64  # type: ignore[attr-defined]
-    try:
-        with suppress(RuntimeError):  # JAX has started, as the caller wants it
-            runner.configure(sweep.bits)
-        jax.config.update("jax_enable_x64", sweep.bits == 64)
-        with taken_back_if_refused(place):
-            store = runner.start_or_reopen(place, sweep, chunk, sweep.bits, None)
-            for line in warnings_of(sweep, advice=False):
-                warnings.warn(f"{sweep.name}: {line}", stacklevel=3)
-            run_blocks = None
-            if client:
-                from sweeps.cluster import Cluster
+    with suppress(RuntimeError):  # JAX has started, as the caller wants it
+        runner.prepare()
+    with taken_back_if_refused(place):
+        store = runner.start_or_reopen(place, sweep, chunk, sweep.bits, None)
+        for line in warnings_of(sweep, advice=False):
+            warnings.warn(f"{sweep.name}: {line}", stacklevel=3)
+        run_blocks = None
+        if client:
+            from sweeps.cluster import Cluster
 
-                run_blocks = Cluster(client, store).run_blocks
-            runner.run(store, on_progress, run_blocks=run_blocks)
-        return open_store(store.path)
-    finally:
-        jax.config.update("jax_enable_x64", callers)
+            run_blocks = Cluster(client, store).run_blocks
+        runner.run(store, on_progress, run_blocks=run_blocks)
+    return open_store(store.path)

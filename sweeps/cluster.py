@@ -22,6 +22,7 @@ from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from fic_jax.lanes.mapping import usable_cores
 from sweeps import worker
 from sweeps.provenance import provenance
 from sweeps.runner import ATTEMPTS, Committed, set_aside
@@ -188,6 +189,7 @@ class Cluster:
         self.used = False  # whether a worker has been ready: others may come in its place
         self.cores: dict[str, frozenset[int]] = {}  # address -> cores of its host that it may use
         self.sharing: Counter[tuple[str, frozenset[int]]] = Counter()  # the most at a time
+        self.counting = threading.Lock()  # workers get ready side by side
         self.slowest = 0.0  # s, of the blocks that have ended
         self.todo: deque[Task] = deque()
         self.suspects: deque[Task] = deque()
@@ -281,7 +283,7 @@ class Cluster:
         """Let a worker get ready, and wait for its answer; `mates` are the others of its host."""
         job = self.job
         try:
-            cores = self.client.run(worker.usable_cores, workers=[address], on_error="return")
+            cores = self.client.run(usable_cores, workers=[address], on_error="return")
             mine = cores[address] if isinstance(cores[address], frozenset) else frozenset()
             self.cores[address] = mine
             job = replace(job, sharing=self._sharing(address, mine, mates))
@@ -301,8 +303,10 @@ class Cluster:
             time.sleep(0.02)
         sharing = 1 + sum(bool(self.cores.get(mate, mine) & mine) for mate in mates)
         key = _host(address), mine
-        self.sharing[key] = max(self.sharing[key], sharing)  # a mate may be about to come again
-        return self.sharing[key]
+        with self.counting:
+            # a mate may be about to come again
+            self.sharing[key] = max(self.sharing[key], sharing)
+            return self.sharing[key]
 
     def _judge(self, greeting: Greeting) -> None:
         """Use a worker that is ready; one that can't be is named in a warning and not used."""

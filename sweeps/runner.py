@@ -11,7 +11,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from fic_jax import Metrics, Model, Params, sweep, tune_for_throughput
+from fic_jax import Model, Params, sweep, tune_for_throughput
 from sweeps import compile_cache, devices
 from sweeps.plan.grid import Block, Grid, cells_of
 from sweeps.plan.shard import Shard
@@ -78,7 +78,7 @@ Committed = tuple[list[Row], float]
 RunBlocks = Callable[[Writer, Lock, list[int], Mapping[int, Row]], Generator[Committed]]
 
 
-def configure(precision: int, device: str | None = None, cores: int | None = None) -> None:
+def prepare(device: str | None = None, cores: int | None = None) -> None:
     """Set JAX up for sweeps, with a compile cache, and start it.
 
     `device` is "cpu", "gpu" or None for JAX's choice; a CPU's sweeps use `cores`, or all. Raises
@@ -87,12 +87,17 @@ def configure(precision: int, device: str | None = None, cores: int | None = Non
     """
     devices.check_xla_flags()
     tune_for_throughput(cores)
-    jax.config.update("jax_enable_x64", precision == 64)
     cache, users = compile_cache.folder(), jax.config.jax_compilation_cache_dir  # type: ignore[attr-defined]
     if cache is not None and not users:
         jax.config.update("jax_compilation_cache_dir", str(cache))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
     devices.start(device)
+
+
+def configure(precision: int, device: str | None = None) -> None:
+    """`prepare` JAX, and set its precision for all that a command does. Raises as `prepare`."""
+    jax.config.update("jax_enable_x64", precision == 64)
+    prepare(device)
 
 
 def check_start(
@@ -189,8 +194,7 @@ def _run_rounds(store: Store, on_progress: OnProgress) -> Progress:
     grid, began = store.grid, time.perf_counter()
 
     def simulate(cells: np.ndarray) -> Values:
-        batch, model = grid.scenarios(cells, store.dtype)
-        values = values_of(*_simulated(grid.sweep, batch, model), grid.sweep.time.t_end)
+        values = _simulated(grid.sweep, *grid.scenarios(cells, store.dtype), store.dtype)
         # as a resumed run reads them
         return {
             name: np.asarray(values[name], store.array(name).dtype)
@@ -284,10 +288,9 @@ def compute(store: Store, index: int, known: Row | None, attempt: int) -> tuple[
 
 def _values(grid: Grid, block: Block, dtype: str, cells: slice | np.ndarray) -> Values:
     """The variables of a block, or of some of its cells; of a reduced block, of all of them."""
-    t_end = grid.sweep.time.t_end
     if grid.sweep.reduce:
-        return block_values(grid, block, lambda b: values_of(*_compute(grid.full, b, dtype), t_end))
-    return values_of(*_compute(grid, block, dtype, cells), t_end)
+        return block_values(grid, block, lambda box: _compute(grid.full, box, dtype))
+    return _compute(grid, block, dtype, cells)
 
 
 def set_aside(
@@ -310,19 +313,24 @@ def _done_before(store: Store, known: Row | None) -> tuple[Values | None, slice 
 
 def _compute(
     grid: Grid, block: Block, dtype: str, cells: slice | np.ndarray = slice(None)
-) -> tuple[Metrics, Metrics | None]:
-    """Metrics of a block, or of some of its cells, and their errors if the sweep wants them."""
+) -> Values:
+    """The variables of the scenarios of a block, or of some of its cells."""
     params = vars(grid.params(block, dtype))
     batch = Params(**{name: v[cells] if v.ndim else v for name, v in params.items()})
-    return _simulated(grid.sweep, batch, grid.model(block))
+    return _simulated(grid.sweep, batch, grid.model(block), dtype)
 
 
-def _simulated(plan: Sweep, batch: Params, model: Model) -> tuple[Metrics, Metrics | None]:
-    """Metrics of scenarios of one model, and their errors if the sweep wants them."""
-    dt, n_steps = plan.time.dt, plan.n_steps
-    if plan.error_estimate:
-        return sweep(batch, model=model, dt=dt, n_steps=n_steps, error_estimate=True)
-    return sweep(batch, model=model, dt=dt, n_steps=n_steps), None
+def _simulated(plan: Sweep, batch: Params, model: Model, dtype: str) -> Values:
+    """The variables of scenarios of one model, in `dtype`, whatever JAX's precision is elsewhere.
+
+    With the errors of the metrics if the sweep wants them.
+    """
+    dt, n_steps, t_end = plan.time.dt, plan.n_steps, plan.time.t_end
+    with jax.enable_x64(dtype == "float64"):  # in this thread alone
+        if plan.error_estimate:
+            found = sweep(batch, model=model, dt=dt, n_steps=n_steps, error_estimate=True)
+            return values_of(*found, t_end)
+        return values_of(sweep(batch, model=model, dt=dt, n_steps=n_steps), None, t_end)
 
 
 def measure(grid: Grid, dtype: str) -> tuple[float, float]:

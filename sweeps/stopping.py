@@ -10,10 +10,12 @@ from sweeps.runner import OnProgress, Progress
 
 @contextmanager
 def stopped_between_blocks(on_progress: OnProgress) -> Iterator[OnProgress]:
-    """A callback that calls `on_progress` with news, and raises after a block if SIGINT came.
+    """A callback for `on_progress` that raises after a block if SIGINT came; the context also does.
 
-    An exception inside XLA's compiler may crash the process, and its traceback has 100 lines.
-    Other threads get no signals, and a handler of the user's own stays.
+    It calls `on_progress` when something has changed. After the last block the context raises, so
+    that a loop over sweeps stops too. An exception inside XLA's compiler may crash the process, and
+    its traceback has 100 lines. Other threads get no signals, and a handler of the user's own
+    stays.
     """
     ours = (
         threading.current_thread() is threading.main_thread()
@@ -38,6 +40,8 @@ def stopped_between_blocks(on_progress: OnProgress) -> Iterator[OnProgress]:
         signal.signal(signal.SIGINT, request)
     try:
         yield report
+        if requested:
+            raise KeyboardInterrupt("stopped after the last block; the sweep is complete")
     finally:
         if ours:
             signal.signal(signal.SIGINT, signal.default_int_handler)

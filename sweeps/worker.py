@@ -11,10 +11,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-import jax
-
 import fic_jax
-from fic_jax.lanes.mapping import cores
+from fic_jax.lanes.mapping import usable_cores
 from sweeps import runner
 from sweeps.provenance import IDENTITY, provenance
 from sweeps.spec.mistakes import SweepError
@@ -53,12 +51,6 @@ class Unready:
     why: str
 
 
-def usable_cores() -> frozenset[int]:
-    """The cores of this machine that this process may use, by their numbers."""
-    affinity = getattr(os, "sched_getaffinity", None)  # Linux
-    return frozenset(affinity(0) if affinity else range(os.cpu_count() or 1))
-
-
 def compute(job: Job, index: int, known: Row | None, attempt: int) -> Receipt | Unready | OSError:
     """Compute a block and stage its files, under names that no other attempt has.
 
@@ -93,7 +85,7 @@ def unready(job: Job) -> str:
     made_by = dict(job.made_by)
     precision = int(str(made_by["dtype"]).removeprefix("float"))
     try:
-        _start_jax(precision, str(made_by["platform"]), str(made_by["xla_flags"]), job.sharing)
+        _start_jax(str(made_by["platform"]), str(made_by["xla_flags"]), job.sharing)
         mine = provenance(precision)
     except SweepError as error:
         return str(error)
@@ -104,15 +96,14 @@ def unready(job: Job) -> str:
     )
 
 
-def _start_jax(precision: int, platform: str, xla_flags: str, sharing: int) -> None:
+def _start_jax(platform: str, xla_flags: str, sharing: int) -> None:
     """Set JAX up as the store needs it, as far as it has not started for somebody else."""
     before = os.environ.get("XLA_FLAGS", "")
     os.environ["XLA_FLAGS"] = xla_flags
     try:
-        runner.configure(precision, platform, max(cores() // sharing, 1))
+        runner.prepare(platform, max(len(usable_cores()) // sharing, 1))
     except RuntimeError:  # it has started, with the flags that were there
         os.environ["XLA_FLAGS"] = before
-        jax.config.update("jax_enable_x64", precision == 64)
 
 
 @lru_cache(maxsize=8)

@@ -10,7 +10,9 @@ import pytest
 
 import sweeps
 from sweeps.spec.mistakes import SweepError
+from sweeps.spec.types import Reduction
 from sweeps.store.opening import Counts, open_store
+from tests.test_runner import bits as bits_of
 
 SMALL = {"axes": {"K0": [10.0, 20.0, 50.0, 100.0]}, "constants": {"period": 0.01}, "model": {}}
 
@@ -75,13 +77,16 @@ def test_a_second_stop_raises_at_once(plan, tmp_path):
     assert not after
 
 
-def test_a_stop_in_the_last_block_returns_the_store(plan, tmp_path):
+def test_a_stop_in_the_last_block_stops_what_comes_after(plan, tmp_path):
+    """As in a loop over sweeps of a block each."""
+
     def stop(progress):
         if progress.done == progress.cells:
             signal.raise_signal(signal.SIGINT)
 
-    store = sweeps.run(plan, tmp_path / "small.zarr", on_progress=stop)
-    assert Counts.of(store).cells["ok"] == 4
+    with pytest.raises(KeyboardInterrupt, match="the sweep is complete"):
+        sweeps.run(plan, tmp_path / "small.zarr", on_progress=stop)
+    assert Counts.of(open_store(tmp_path / "small.zarr")).cells["ok"] == 4
 
 
 def test_a_handler_of_the_users_own_stays(plan, tmp_path):
@@ -121,19 +126,23 @@ def test_a_report_without_news_is_not_passed_on(plan, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("bits", [32, 64])
-@pytest.mark.parametrize("callers", [False, True])
-def test_a_run_leaves_the_precision_of_the_caller(plan, tmp_path, bits, callers):
-    jax.config.update("jax_enable_x64", callers)
-    jnp.zeros(1)  # JAX has started
-    seen = []
-    store = sweeps.run(
-        plan.model_copy(update={"precision": bits}),
-        tmp_path / "small.zarr",
-        on_progress=lambda _: seen.append(jax.config.jax_enable_x64),
-    )
-    assert store.dtype == f"float{bits}"
-    assert set(seen) == {bits == 64}
-    assert jax.config.jax_enable_x64 is callers
+@pytest.mark.parametrize("reduced", [False, True])
+def test_a_run_has_its_own_precision(plan, tmp_path, bits, reduced):
+    """Whatever the caller's is, for the process or in a context, also while the run computes."""
+    over = Reduction(over=["K0"], max=["nmse"]) if reduced else None
+    plan = plan.model_copy(update={"precision": bits, "error_estimate": True, "reduce": over})
+    jax.config.update("jax_enable_x64", bits == 64)
+    wanted = bits_of(sweeps.run(plan, tmp_path / "wanted.zarr").path)
+    jax.config.update("jax_enable_x64", bits != 64)
+    assert bits_of(sweeps.run(plan, tmp_path / "process.zarr").path) == wanted
+    with jax.enable_x64(bits == 64):
+        jax.config.update("jax_enable_x64", bits != 64)
+        assert bits_of(sweeps.run(plan, tmp_path / "outside.zarr").path) == wanted
+    with jax.enable_x64(bits != 64):
+        jax.config.update("jax_enable_x64", bits == 64)
+        assert bits_of(sweeps.run(plan, tmp_path / "inside.zarr").path) == wanted
+    assert jax.config.jax_enable_x64 is (bits == 64)
+    assert jnp.zeros(1).dtype == f"float{bits}"
 
 
 def test_a_mistake_is_one_line_below_the_callers_own(plan, tmp_path, monkeypatch):

@@ -16,10 +16,15 @@ if TYPE_CHECKING:
     from fic_jax.lanes.kernel import Kernel
 
 
+def usable_cores() -> frozenset[int]:
+    """The numbers of the cores that this process may use."""
+    affinity = getattr(os, "sched_getaffinity", None)  # Linux
+    return frozenset(affinity(0) if affinity else range(os.cpu_count() or 1))
+
+
 def cores() -> int:
-    """Cores this process may use."""
-    affinity = getattr(os, "sched_getaffinity", None)
-    return len(affinity(0)) if affinity else os.cpu_count() or 1
+    """How many cores this process may use."""
+    return len(usable_cores())
 
 
 class LaneMap:

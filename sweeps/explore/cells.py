@@ -119,7 +119,8 @@ def ticks(low: float, high: float, log: bool) -> list[float]:
         unit = 10.0 ** math.floor(math.log10(rough))
         size = next(m * unit for m in (1, 2, 2.5, 5, 10) if m * unit >= rough)
         found = [
-            round(k * size, 12) for k in range(math.ceil(low / size), math.floor(high / size) + 1)
+            float(f"{k * size:.12g}")
+            for k in range(math.ceil(low / size), math.floor(high / size) + 1)
         ]
     slack = 1e-9 * (high - low)
     return [tick for tick in found if low - slack <= tick <= high + slack]

@@ -58,7 +58,8 @@ def colour_ends(drawn: Map) -> tuple[float, float]:
     if log:
         return low, high
     size = 10.0 ** math.floor(math.log10(high - low)) / 2
-    return round(math.floor(low / size) * size, 12), round(math.ceil(high / size) * size, 12)
+    low, high = math.floor(low / size) * size, math.ceil(high / size) * size
+    return float(f"{low:.12g}"), float(f"{high:.12g}")
 
 
 def logarithmic(metric: str, low: float, high: float) -> bool:

@@ -25,6 +25,7 @@ from bokeh.resources import Resources
 from bokeh.server.server import BaseServer
 from bokeh.server.tornado import BokehTornado
 from bokeh.server.views.doc_handler import DocHandler
+from bokeh.util.token import get_session_id
 from jinja2 import Template
 from tornado.httpserver import HTTPServer
 from tornado.ioloop import IOLoop
@@ -42,6 +43,10 @@ LARGEST_MESSAGE = 20_000  # bytes of a websocket's message; a page sends at most
 LARGEST_REQUEST = 65_536  # bytes of a request's head and body
 UNUSED = 10_000  # ms that a closed page may take to come back
 MOST_PAGES = 30  # of 10 MB at most: a live map has all metrics of 256 x 256 cells
+FULL = (
+    f"{MOST_PAGES} pages of this program are open, and that is its limit: close one, "
+    f"wait {UNUSED // 1000} seconds and load this again."
+)
 MOST_PICTURES = 8  # that wait to be drawn, about a second each
 PATHS = ("/", "/ws", "/view.py", "/view.toml", "/picture.png", "/picture.svg")
 
@@ -69,7 +74,7 @@ class Guarded(BokehTornado):  # type: ignore[misc]
         return len(self.get_sessions("/")) + self.coming >= MOST_PAGES
 
     def find_handler(self, request: Any, **kwargs: Any) -> Any:
-        """The handler of a request; one that refuses it if it is foreign, or for nothing."""
+        """The handler of a request; a refusal of one that is foreign, or that nothing answers."""
         host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
         if not self.hosts(host):
             return self._refused(request, 403, refused_host(host, *self.place))
@@ -78,10 +83,22 @@ class Guarded(BokehTornado):  # type: ignore[misc]
             return self._refused(request, 403, line)
         if request.path not in PATHS:  # Bokeh's other pages are not needed
             return self._refused(request, 404, "There is nothing at this address.")
+        if request.path == "/ws" and self.full and not self._has_session(request):
+            # a page whose session has ended comes back through its websocket
+            return self._refused(request, 503, FULL)
         if request.path == "/":
             context = {"application_context": self.applications["/"], "bokeh_websocket_path": "/ws"}
             return self.get_handler_delegate(request, Early, context)
         return super().find_handler(request, **kwargs)
+
+    def _has_session(self, request: Any) -> bool:
+        """Whether the session that a websocket's subprotocols name exists."""
+        _, _, token = request.headers.get("Sec-WebSocket-Protocol", "").partition(",")
+        try:
+            name = get_session_id(token.strip())
+        except Exception:  # whatever a text that is no token leads to
+            return False
+        return any(session.id == name for session in self.get_sessions("/"))
 
     def _refused(self, request: Any, status: int, line: str) -> Any:
         return self.get_handler_delegate(request, Refused, {"status": status, "line": line})
@@ -149,8 +166,7 @@ class Early(DocHandler):  # type: ignore[misc]
     async def get(self) -> None:
         """The page of a new session."""
         if self.application.full:
-            most = f"{MOST_PAGES} pages of this program are open, and that is its limit"
-            say(self, 503, f"{most}: close one, wait {UNUSED // 1000} seconds and load this again.")
+            say(self, 503, FULL)
             return
         self.set_header("Content-Type", "text/html; charset=utf-8")
         self.write(head())
@@ -276,11 +292,7 @@ class Views(RequestHandler):  # type: ignore[misc]
             if make:
                 content = make(view)
             elif self.application.drawing >= MOST_PICTURES:
-                say(
-                    self,
-                    503,
-                    f"{MOST_PICTURES} pictures wait to be drawn: try again later.",
-                )
+                say(self, 503, f"{MOST_PICTURES} pictures wait to be drawn: try again later.")
                 return
             else:
                 content = await self._picture(source, view, what.rpartition(".")[2])
@@ -343,8 +355,6 @@ def serve(
     def page(document: Document) -> None:
         from sweeps.explore.page import Page
 
-        if len(app.get_sessions("/")) >= MOST_PAGES:  # of a websocket without a page
-            raise RuntimeError(f"more than {MOST_PAGES} pages")
         arguments = document.session_context.request.arguments
         pairs = [(n, v.decode("utf-8", "replace")) for n, vs in arguments.items() for v in vs]
         Page(document, app.ready.result(), worker, quick, urlencode(pairs))

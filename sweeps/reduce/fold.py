@@ -105,14 +105,16 @@ def _scenarios(grid: Grid, box: Mapping[str, slice], part: Mapping[str, slice]) 
 
 def _ahead(cells: Cells, boxes: Iterable[Block]) -> Generator[Values]:
     """What `cells` gives for each box; the next one is computed while the last one is used."""
-    with ThreadPoolExecutor(1) as pool:
-        last = None
+    pool, last = ThreadPoolExecutor(1), None
+    try:
         for box in boxes:
             before, last = last, pool.submit(cells, box)
             if before:
                 yield before.result()
         if last:
             yield last.result()
+    finally:  # after an error, only what is running is waited for
+        pool.shutdown(cancel_futures=True)
 
 
 def _statistics(

@@ -112,12 +112,12 @@ def _difference(
 def rounds(writer: Writer, simulate: Simulate) -> Generator[Step]:
     """Refine a store to its end, or until cells can't be simulated: their blocks are set aside.
 
-    Closing the generator writes what was simulated.
+    Closing the generator, and Ctrl-C, write what was simulated.
     """
     run = _Run(writer, simulate)
     try:
         yield from run.rounds()
-    except GeneratorExit:
+    except (GeneratorExit, KeyboardInterrupt):
         run.write()
         raise
 

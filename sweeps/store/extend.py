@@ -80,15 +80,20 @@ def replaced(store: Store, grid: Grid, fill: Callable[[Writer], None]) -> Store:
         write_empty(partial, grid, made_by | {"extended": now()})
         fill(Writer(open_store(partial)))
         fsync.sync_tree(partial)
-        foreign = foreign_files(store)
         path.rename(before_extension(path))
         partial.rename(path)
         fsync.sync(path.parent)
-    for name in foreign:  # notes of the user, which go along
-        with suppress(OSError):  # a folder went with all that is in it
-            os.rename(before_extension(path) / name, path / name)
-    shutil.rmtree(before_extension(path), ignore_errors=True)
+    _dismiss(before_extension(path), path)
     return open_store(path)
+
+
+def _dismiss(before: Path, path: Path) -> None:
+    """Delete the store that another one has replaced; notes of the user in it go along."""
+    with suppress(SweepError):  # a kill may have come while it was deleted
+        for name in foreign_files(open_store(before)):
+            with suppress(OSError):  # a folder went with all that is in it
+                os.rename(before / name, path / name)
+    shutil.rmtree(before, ignore_errors=True)
 
 
 def recover(path: Path) -> None:
@@ -98,7 +103,7 @@ def recover(path: Path) -> None:
     if not os.path.isdir(before) or before.is_symlink():
         return
     if os.path.isfile(path / "zarr.json"):
-        shutil.rmtree(before)
+        _dismiss(before, path)
     elif not os.path.lexists(path):
         before.rename(path)
 

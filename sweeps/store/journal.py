@@ -23,6 +23,7 @@ from sweeps.store.ledger import Ledger
 
 NAME = re.compile(r"simulated\.(\d{1,9})")
 CELLS = "cells"
+SHOWN = 100  # a flipped bit in the ledger may count a thousand million
 _DIGEST = hashlib.sha256().digest_size
 
 Simulated = tuple[np.ndarray, dict[str, np.ndarray]]  # numbers of cells, variable -> its values
@@ -42,8 +43,10 @@ class Journal:
         return [file for _, file in sorted((int(m[1]), file) for m, file in found if m)]
 
     def missing(self) -> list[str]:
-        """The names of the files that somebody has deleted. Raises LedgerError."""
-        return [file.name for file in self._numbered() if not os.path.lexists(file)]
+        """The names of files that somebody has deleted, of the first SHOWN. Raises LedgerError."""
+        there = {file.name for file in self.files()}
+        counted = (self._file(i + 1).name for i in range(self._count()))
+        return list(itertools.islice((name for name in counted if name not in there), SHOWN))
 
     def append(self, cells: np.ndarray, values: dict[str, np.ndarray]) -> None:
         """Add cells and their values. After the return a power cut loses none. Raises OSError."""
@@ -54,7 +57,7 @@ class Journal:
         path = next(file for file in free if not os.path.lexists(file))
         fsync.write({path: self._digest(content) + content})
         if self.ledger:  # after the file: a kill between the two loses nothing
-            self.ledger.count_files(max(len(self._numbered()), int(path.suffix[1:])))
+            self.ledger.count_files(max(self._count(), int(path.suffix[1:])))
 
     def read(self) -> Iterator[Simulated]:
         """What the files have; one that is damaged is left out."""
@@ -74,10 +77,9 @@ class Journal:
             file.unlink()
         fsync.sync(self.path)
 
-    def _numbered(self) -> list[Path]:
-        """The files that must be there."""
-        n = self.ledger.files() if self.ledger else 0
-        return [self._file(i + 1) for i in range(n)]
+    def _count(self) -> int:
+        """The number of files that must be there."""
+        return self.ledger.files() if self.ledger else 0
 
     def _file(self, number: int) -> Path:
         return self.path / f"simulated.{number}"

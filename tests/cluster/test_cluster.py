@@ -16,6 +16,7 @@ import pytest
 
 import fic_jax
 import sweeps
+from fic_jax.lanes import mapping
 from sweeps import cluster, runner, worker
 from sweeps.cluster import Cluster, Task
 from sweeps.export import write
@@ -222,11 +223,11 @@ def set_cores(cores):
     os.sched_setaffinity(0, cores)
 
 
-@pytest.mark.skipif(len(worker.usable_cores()) < 2, reason="needs two cores")
+@pytest.mark.skipif(len(mapping.usable_cores()) < 2, reason="needs two cores")
 def test_workers_of_a_host_share_the_cores_that_both_may_use(tmp_path, client):
     """A scheduler may give each worker cores of its own, which it uses alone."""
     both = client.nthreads()
-    every = worker.usable_cores()
+    every = mapping.usable_cores()
     first = {min(every)}
     try:
         for cores, sharing in (((every, every), 2), ((first, every - first), 1)):

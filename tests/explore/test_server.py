@@ -2,6 +2,7 @@
 
 import http.client
 import json
+import re
 import socket
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -10,6 +11,7 @@ from unittest.mock import patch
 from urllib.parse import urlsplit
 
 import pytest
+from bokeh.util.token import generate_jwt_token
 
 from sweeps.explore import server
 from sweeps.explore.page import _event
@@ -127,6 +129,16 @@ def test_there_are_at_most_so_many_pages(cube):
         answers = [get(link, "/") for _ in range(server.MOST_PAGES + 1)]
         assert [status for status, _ in answers] == [200] * server.MOST_PAGES + [503]
         assert f"{server.MOST_PAGES} pages of this program are open" in answers[-1][1]
+        # the websockets of these pages, and that of a page whose session has ended
+        tokens = [re.search(r'"token":"([^"]+)"', page)[1] for _, page in answers[:2]]
+        tokens.append(generate_jwt_token("another"))
+        opening = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
+        opening["Sec-WebSocket-Key"] = "dGhlIHNhbXBsZSBub25jZQ=="
+        opened = [
+            get(link, "/ws", **opening, **{"Sec-WebSocket-Protocol": f"bokeh, {token}"})[0]
+            for token in tokens
+        ]
+        assert opened == [101, 101, 503]
 
 
 def test_at_most_so_many_pictures_wait(link):

@@ -353,6 +353,21 @@ def test_a_box_is_computed_while_the_one_before_is_reduced(monkeypatch):
     assert len(computed) > 2
 
 
+def test_an_error_waits_for_no_other_box(monkeypatch):
+    """A box may take minutes."""
+    computed = []
+
+    def cells(box):
+        computed.append(box)
+        raise ValueError("no number")
+
+    monkeypatch.setattr(fold, "LARGEST_BLOCK", 5)
+    plan = parse(ANY, "any.toml")
+    with pytest.raises(ValueError, match="no number"):
+        fold.block_values(Grid(plan, 100), next(Grid(plan, 100).blocks()), cells)
+    assert len(computed) <= 2  # the second may have begun before the first had failed
+
+
 def test_a_random_design_and_choices_are_reduced_by_name(tmp_path):
     text = (
         'name = "drawn"\nmetrics = ["nmse"]\n[time]\nt_end = 0.1\n'

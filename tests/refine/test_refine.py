@@ -23,7 +23,7 @@ from sweeps.spec.reading import parse
 from sweeps.store.commit import Writer
 from sweeps.store.extend import extend
 from sweeps.store.format import DIVERGED, FAILED, NEAR, NOT_RUN, OK
-from sweeps.store.journal import Journal
+from sweeps.store.journal import SHOWN, Journal
 from sweeps.store.ledger import DONE, SET_ASIDE
 from sweeps.store.opening import Counts, dataset, open_store
 from sweeps.store.verify import verify
@@ -350,6 +350,12 @@ def test_a_damaged_journal_is_named_and_its_cells_are_simulated_again(
     assert 0 < Counts.of(store).done < before + 25
     runner.run(open_store(path), quiet)
     assert contents(path) == contents(quick)
+
+
+def test_a_flipped_bit_in_the_count_of_a_journal_makes_no_endless_list(tmp_path):
+    store = runner.start(tmp_path / "a.zarr", QUICK, 60, 32)
+    store.ledger.count_files(2**30)
+    assert len(store.journal.missing()) == SHOWN
 
 
 @pytest.mark.parametrize("deleted", [(1,), (2, 4), (4,), (1, 2, 3, 4)])

@@ -27,6 +27,16 @@ def test_recover_finishes_or_undoes_an_extension(golden, new):
     assert not before.exists()
 
 
+def test_recover_keeps_notes(golden):
+    """A kill may come before they are moved."""
+    before = before_extension(golden)
+    shutil.copytree(golden, before)
+    (before / "notes.txt").write_text("mine")
+    extend.recover(golden)
+    assert (golden / "notes.txt").read_text() == "mine"
+    assert not before.exists()
+
+
 def test_recover_leaves_what_is_no_store(golden):
     """Something else has the name: the waiting store must stay."""
     before = before_extension(golden)
