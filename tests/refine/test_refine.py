@@ -506,13 +506,13 @@ def test_a_metric_that_changes_fast(memory):
     assert span[at == 0].max() <= np.log(2) + 1e-6 < span.max()  # half as large at least
 
 
-def test_what_cannot_be_refined(memory, border):
+def test_what_cannot_be_refined(border, full):
     with pytest.raises(SweepError, match="which no shard knows"):
         Grid(PLAN, None, Shard(1, 2))
     with pytest.raises(SweepError, match="a refined sweep can't be extended"):
         extend(open_store(border), parse(FINEST, "full"), "full.toml")
     with pytest.raises(SweepError, match="a refined sweep can't be extended"):
-        extend(open_store(memory / "plain.zarr"), PLAN, "small.toml")
+        extend(open_store(full), PLAN, "small.toml")
 
 
 def test_a_picture_says_what_was_simulated(border, small):
