@@ -6,7 +6,7 @@ trusted for a metric that the statistic needs, are counted by kind; too many ref
 
 import itertools
 import math
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -30,8 +30,8 @@ def block_values(grid: Grid, block: Block, cells: Cells) -> Values:
     """The variables of a block, from its scenarios.
 
     `cells` is called with boxes of `grid.full`, each of one model and of LARGEST_BLOCK scenarios at
-    most, in an order that the sweep alone decides, from another thread: a box is computed while the
-    one before is reduced, which takes a GPU's host as long.
+    most, in an order that the sweep alone decides. If there are several, it is called from another
+    thread: a box is computed while the one before is reduced, which takes a GPU's host as long.
     """
     reduce = grid.sweep.reduce
     assert reduce
@@ -103,8 +103,11 @@ def _scenarios(grid: Grid, box: Mapping[str, slice], part: Mapping[str, slice]) 
     return tuple(both[dim] for dim in grid.full.dims)
 
 
-def _ahead(cells: Cells, boxes: Iterable[Block]) -> Generator[Values]:
+def _ahead(cells: Cells, boxes: Sequence[Block]) -> Generator[Values]:
     """What `cells` gives for each box; the next one is computed while the last one is used."""
+    if len(boxes) == 1:  # in a thread of its own it would take twice the memory, and no less time
+        yield cells(boxes[0])
+        return
     pool, last = ThreadPoolExecutor(1), None
     try:
         for box in boxes:
