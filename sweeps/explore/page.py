@@ -16,6 +16,7 @@ from typing import Any
 
 from bokeh.document import Document
 from bokeh.models import ColumnDataSource, CustomJS
+from tornado.ioloop import IOLoop
 
 from fic_jax import METRICS
 from sweeps import maps
@@ -53,6 +54,7 @@ class Page:
     ) -> None:
         self.document, self.source, self.worker, self.quick = document, source, worker, quick
         self.closed, self.map, self.version = False, None, source.version
+        self.loop = IOLoop.current()
         self._motions: dict[str, Motion] = {}
         self._pending: dict[str, Callable[[], None]] = {}
         self._lock = Lock()  # of what waits: a worker writes it, the page reads it
@@ -228,7 +230,12 @@ class Page:
         with self._lock:
             waits = what in self._pending
             self._pending[what] = show
-        if not waits and not self.closed:
+        if not waits:
+            # the server's thread may be making the page's session just now
+            self.loop.add_callback(self._show_soon, what)
+
+    def _show_soon(self, what: str) -> None:
+        if not self.closed:
             self.document.add_next_tick_callback(lambda: self._show_pending(what))
 
     def _show_pending(self, what: str) -> None:
