@@ -4,14 +4,14 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection, Generator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import closing
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax
 import numpy as np
 
-from fic_jax import Model, Params, sweep, tune_for_throughput
+from fic_jax import Metrics, Model, Params, sweep, tune_for_throughput
 from sweeps import compile_cache, devices
 from sweeps.plan.grid import Block, Grid, cells_of
 from sweeps.plan.shard import Shard
@@ -194,7 +194,9 @@ def _run_rounds(store: Store, on_progress: OnProgress) -> Progress:
     grid, began = store.grid, time.perf_counter()
 
     def simulate(cells: np.ndarray) -> Values:
-        values = _simulated(grid.sweep, *grid.scenarios(cells, store.dtype), store.dtype)
+        batch, model = grid.scenarios(cells, store.dtype)
+        with _precision(store.dtype):
+            values = values_of(*_simulated(grid.sweep, batch, model), grid.sweep.time.t_end)
         # as a resumed run reads them
         return {
             name: np.asarray(values[name], store.array(name).dtype)
@@ -288,9 +290,20 @@ def compute(store: Store, index: int, known: Row | None, attempt: int) -> tuple[
 
 def _values(grid: Grid, block: Block, dtype: str, cells: slice | np.ndarray) -> Values:
     """The variables of a block, or of some of its cells; of a reduced block, of all of them."""
+    t_end = grid.sweep.time.t_end
+
+    def values(grid: Grid, box: Block, cells: slice | np.ndarray = slice(None)) -> Values:
+        with _precision(dtype):
+            return values_of(*_compute(grid, box, dtype, cells), t_end)
+
     if grid.sweep.reduce:
-        return block_values(grid, block, lambda box: _compute(grid.full, box, dtype))
-    return _compute(grid, block, dtype, cells)
+        return block_values(grid, block, lambda box: values(grid.full, box))
+    return values(grid, block, cells)
+
+
+def _precision(dtype: str) -> AbstractContextManager[None]:
+    """JAX's precision for the numbers of a store, in this thread alone."""
+    return jax.enable_x64(dtype == "float64")
 
 
 def set_aside(
@@ -313,24 +326,19 @@ def _done_before(store: Store, known: Row | None) -> tuple[Values | None, slice 
 
 def _compute(
     grid: Grid, block: Block, dtype: str, cells: slice | np.ndarray = slice(None)
-) -> Values:
-    """The variables of the scenarios of a block, or of some of its cells."""
+) -> tuple[Metrics, Metrics | None]:
+    """Metrics of a block, or of some of its cells, and their errors if the sweep wants them."""
     params = vars(grid.params(block, dtype))
     batch = Params(**{name: v[cells] if v.ndim else v for name, v in params.items()})
-    return _simulated(grid.sweep, batch, grid.model(block), dtype)
+    return _simulated(grid.sweep, batch, grid.model(block))
 
 
-def _simulated(plan: Sweep, batch: Params, model: Model, dtype: str) -> Values:
-    """The variables of scenarios of one model, in `dtype`, whatever JAX's precision is elsewhere.
-
-    With the errors of the metrics if the sweep wants them.
-    """
-    dt, n_steps, t_end = plan.time.dt, plan.n_steps, plan.time.t_end
-    with jax.enable_x64(dtype == "float64"):  # in this thread alone
-        if plan.error_estimate:
-            found = sweep(batch, model=model, dt=dt, n_steps=n_steps, error_estimate=True)
-            return values_of(*found, t_end)
-        return values_of(sweep(batch, model=model, dt=dt, n_steps=n_steps), None, t_end)
+def _simulated(plan: Sweep, batch: Params, model: Model) -> tuple[Metrics, Metrics | None]:
+    """Metrics of scenarios of one model, and their errors if the sweep wants them."""
+    dt, n_steps = plan.time.dt, plan.n_steps
+    if plan.error_estimate:
+        return sweep(batch, model=model, dt=dt, n_steps=n_steps, error_estimate=True)
+    return sweep(batch, model=model, dt=dt, n_steps=n_steps), None
 
 
 def measure(grid: Grid, dtype: str) -> tuple[float, float]:
