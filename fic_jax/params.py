@@ -65,7 +65,9 @@ class Params(Displayed):
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if isinstance(value, NO_NUMBERS):
+            if isinstance(value, NO_NUMBERS) or (
+                isinstance(value, np.ndarray) and value.dtype.kind in "SUc"
+            ):
                 real(name, value, QUANTITIES[name]["unit"])
 
     def _table(self) -> Table:

@@ -49,6 +49,9 @@ def load(sweep: "str | Path") -> "Sweep":
     from sweeps.spec import reading
     from sweeps.spec.mistakes import SweepError
 
+    if not isinstance(sweep, str | Path):
+        wanted = "a Sweep, the path of a sweep file or a name of the library"
+        raise SweepError(f"sweep must be {wanted}, not {sweep!r}")
     path, is_name = Path(sweep), isinstance(sweep, str) and "/" not in sweep
     if is_name and (LIBRARY / f"{sweep}.toml").is_file():
         path = LIBRARY / f"{sweep}.toml"
@@ -64,6 +67,8 @@ def unknown(name: str) -> "SweepError":
     """The error for a name that is neither a file nor a sweep of the library."""
     from sweeps.spec.mistakes import SweepError, hint, printable
 
+    if name.endswith(".zarr"):
+        return SweepError(f"{printable(name)}: is no result store: there is nothing of this name")
     known = hint(name, sorted(path.stem for path in LIBRARY.glob("*.toml")))
     return SweepError(f"{printable(name)}: is no file and no sweep of the library{known}")
 
@@ -110,11 +115,12 @@ def _run(
     on_progress: "OnProgress",
 ) -> "Store":
     from sweeps import runner
+    from sweeps.spec.types import Sweep
     from sweeps.spec.warnings import warnings_of
     from sweeps.store.create import taken_back_if_refused
     from sweeps.store.opening import open_store
 
-    if isinstance(sweep, str | Path):
+    if not isinstance(sweep, Sweep):
         sweep = load(sweep)
     if client:
         from sweeps.cluster import refuse_refined

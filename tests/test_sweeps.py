@@ -145,6 +145,18 @@ def test_a_run_has_its_own_precision(plan, tmp_path, bits, reduced):
     assert jnp.zeros(1).dtype == f"float{bits}"
 
 
+@pytest.mark.parametrize("call", [sweeps.run, sweeps.load])
+@pytest.mark.parametrize("wrong", [None, 3, {"name": "a"}])
+def test_what_is_no_sweep_is_refused(call, wrong):
+    with pytest.raises(SweepError, match=r"^sweep must be a Sweep, the path of a sweep file or"):
+        call(wrong)
+
+
+def test_a_store_that_is_not_there_is_no_name_of_the_library():
+    with pytest.raises(SweepError, match=r"^gone\.zarr: is no result store: there is nothing"):
+        sweeps.load("gone.zarr")
+
+
 def test_a_mistake_is_one_line_below_the_callers_own(plan, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     unknown = "period-mop: is no file and no sweep of the library; did you mean `period-map`?"

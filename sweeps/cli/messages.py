@@ -317,7 +317,9 @@ def verification(path: Path, report: Report) -> Iterator[str]:
         yield "  the blocks can be verified once this is repaired"
     elif report.blocks < report.planned:
         still = counted(report.planned - report.blocks, "block")
-        resume = "" if report.problems else f": {command('resume', path)} does"
+        # what can't be repaired here, a run does again
+        repair = any(problem.repairable for problem in report.problems)
+        resume = "" if repair else f": {command('resume', path)} does"
         yield f"  {still} still to run{resume}"
     if report.foreign:
         names = ", ".join(printable(name) for name in report.foreign[:MAX_FOREIGN])

@@ -44,6 +44,9 @@ class Grid:
     shard: Shard | None = None  # whose blocks are run; None: all are
 
     def __post_init__(self) -> None:
+        if self.chunk is not None and not (type(self.chunk) is int and self.chunk > 0):
+            wanted = "a whole number of cells, 1 or more"
+            raise SweepError(f"{self.sweep.name}: chunk must be {wanted}, not {self.chunk!r}")
         for what, n, most in (
             ("blocks", self.n_blocks, MAX_BLOCKS),
             ("cells in a block", math.prod(self.block_shape) * self.candidates, MAX_BLOCK),

@@ -59,9 +59,11 @@ def _differences(store: Store, grid: Grid) -> Iterator[str]:
         yield f"`precision` must be that of the store, {store.dtype.removeprefix('float')}."
     if other:
         return
-    if grid.most_runs <= store.grid.most_runs:
-        wanted = f"more than the store's {store.grid.most_runs:,}"
-        yield f"`refine.budget` must be {wanted}, but is {grid.most_runs:,}."
+    before, most = store.grid.most_runs, store.grid.cells
+    if before == most:
+        yield f"the store's budget suffices for all its {most:,} cells: a larger one is no other."
+    elif grid.most_runs <= before:
+        yield f"the budget must be more than the store's {before:,}, but is {grid.most_runs:,}."
     elif not Counts.of(store).pending and BUDGET_LEVEL not in store.group.attrs:
         yield "nothing is left to halve: a larger budget would change nothing."
 

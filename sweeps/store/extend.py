@@ -89,7 +89,7 @@ def replaced(store: Store, grid: Grid, fill: Callable[[Writer], None]) -> Store:
 
 def _dismiss(before: Path, path: Path) -> None:
     """Delete the store that another one has replaced; notes of the user in it go along."""
-    with suppress(SweepError):  # a kill may have come while it was deleted
+    with suppress(SweepError, OSError):  # a kill may have come while it was deleted
         for name in foreign_files(open_store(before)):
             with suppress(OSError):  # a folder went with all that is in it
                 os.rename(before / name, path / name)

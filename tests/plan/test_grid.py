@@ -119,6 +119,12 @@ def test_a_huge_sweep_is_planned_in_little_memory_and_work(n):
     assert peak < 2_000_000  # bytes
 
 
+@pytest.mark.parametrize("chunk", [0, -5, 2.5, True, "a"])
+def test_a_chunk_that_is_no_number_of_cells_is_refused(chunk):
+    with pytest.raises(SweepError, match="chunk must be a whole number of cells, 1 or more, not"):
+        Grid(parse(EVERYTHING, "f"), chunk)
+
+
 def test_a_chunk_that_makes_too_many_or_too_large_blocks_is_refused():
     sweep = parse(AXES + "K0 = { lin = [1, 9], n = 10000000 }\nTd = [1.0, 2.0]", "f")
     with pytest.raises(SweepError, match=f"at most {MAX_BLOCK:,} cells in a block, not 20,000,000"):

@@ -470,7 +470,7 @@ def test_a_larger_budget_goes_on(tmp_path, quick, each_batch, monkeypatch, simul
 def test_what_is_no_larger_budget(memory, quick):
     store = open_store(quick)
     for plan, line in (
-        (QUICK, "`refine.budget` must be more than the store's 561, but is 561."),
+        (QUICK, "the store's budget suffices for all its 561 cells: a larger one is no other."),
         (with_refine(QUICK, levels=2), "`refine` must be as in the store"),
         (QUICK.model_copy(update={"metrics": ["nmse"]}), "`metrics` must be as in the store"),
         (QUICK.model_copy(update={"precision": 64}), "`precision` must be that of the store, 32."),
