@@ -26,7 +26,7 @@ WRONG = [
     (["run", "tiny.toml", "--set", "error_estimate=1"], "must be true or false, but is 1."),
     (["run", "tiny.toml", "--set", "precision=16"], "`precision` must be 32 or 64, but is 16."),
     (["run", "tiny.toml", "--set", "precision=double"], 'must be 32 or 64, but is "double".'),
-    (["run", "none.zarr"], "none.zarr: is no file and no sweep of the library"),
+    (["run", "none.zarr"], "none.zarr: is no result store: there is nothing of this name"),
     (["run"], "Missing argument"),
     (["run", "tiny.toml", "--out", "x" * 300], "xxx: File name too long"),
     (["status", "x" * 300], "xxx: can't be read: File name too long"),
