@@ -57,6 +57,8 @@ def workers(folder_of_sabotage):
         distributed.LocalCluster(
             n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0",
             memory_limit=0, silence_logs=50, preload=preload,
+            # other tests may have started the process that is forked, without the variable
+            env={sabotage.VARIABLE: str(folder_of_sabotage)},
         ) as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
     ):  # fmt: skip
