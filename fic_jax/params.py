@@ -39,8 +39,9 @@ class Params(Displayed):
     """The numbers of one scenario (scalars), or of N scenarios ([N] leaves), in SI units.
 
     The defaults are the paper's: a rotation about one axis (Sec. IV). A sweep may vary each field.
-    Raises ParamsError for a text or a complex number. All else is checked by what computes: JAX
-    wants tracers, shapes, None or a PartitionSpec in the leaves. `jax.tree.map` makes labels.
+    Raises ParamsError for a text or a complex number. All other values are checked when they are
+    used, because JAX puts tracers, shapes, None or a PartitionSpec into the leaves. Labels of the
+    fields, as an optimiser may want them, are made with `jax.tree.map`.
     """
 
     K0: Scalar = _quantity(100.0, "N*m/rad", "constant stiffness of the controller", "positive")

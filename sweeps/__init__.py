@@ -56,14 +56,14 @@ def load(sweep: "str | Path") -> "Sweep":
     if is_name and (LIBRARY / f"{sweep}.toml").is_file():
         path = LIBRARY / f"{sweep}.toml"
     elif is_name and path.suffix != ".toml" and not path.exists():
-        raise unknown(str(sweep))
+        raise unknown_sweep(str(sweep))
     try:
         return reading.load(path)
     except SweepError as error:
         raise error.with_traceback(None) from None
 
 
-def unknown(name: str) -> "SweepError":
+def unknown_sweep(name: str) -> "SweepError":
     """The error for a name that is neither a file nor a sweep of the library."""
     from sweeps.spec.mistakes import SweepError, hint, printable
 

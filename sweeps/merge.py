@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from sweeps.plan.shard import Shard
-from sweeps.provenance import IDENTITY
+from sweeps.provenance import IDENTITY, unlike
 from sweeps.spec.mistakes import SweepError, command
 from sweeps.store import fsync
 from sweeps.store.commit import now, write_checksum
@@ -80,13 +80,7 @@ def _refuse_different(part: Store, first: Store) -> None:
     if other:
         what = ", ".join(other)
         raise SweepError(f"{part.path}: was begun with another {what} than {first.path}")
-    program = [(key, found.get(key), wanted.get(key)) for key in PROGRAM]
-    differing = [
-        f"{key} is {here or 'none'}, not {there or 'none'}"
-        for key, here, there in program
-        if here != there
-    ]
-    if differing:
+    if differing := unlike(PROGRAM, found, wanted):
         what = "; ".join(differing)
         raise SweepError(f"{part.path}: was made by another program than {first.path}: {what}")
 

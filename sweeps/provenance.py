@@ -2,6 +2,7 @@
 
 import os
 import subprocess
+from collections.abc import Iterable, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -55,6 +56,15 @@ def differences(began: dict[str, Any], now: dict[str, Any]) -> list[str]:
         f"{key} was {began.get(key) or 'none'}, is {now[key] or 'none'}"
         for key in IDENTITY
         if began.get(key) != now[key]
+    ]
+
+
+def unlike(keys: Iterable[str], these: Mapping[str, Any], those: Mapping[str, Any]) -> list[str]:
+    """What differs between two programs, as "jax is 0.10.2, not 0.11.0"."""
+    return [
+        f"{key} is {these.get(key) or 'none'}, not {those.get(key) or 'none'}"
+        for key in keys
+        if these.get(key) != those.get(key)
     ]
 
 

@@ -290,15 +290,17 @@ def compute(store: Store, index: int, known: Row | None, attempt: int) -> tuple[
 
 def _values(grid: Grid, block: Block, dtype: str, cells: slice | np.ndarray) -> Values:
     """The variables of a block, or of some of its cells; of a reduced block, of all of them."""
-    t_end = grid.sweep.time.t_end
-
-    def values(grid: Grid, box: Block, cells: slice | np.ndarray = slice(None)) -> Values:
-        with _precision(dtype):
-            return values_of(*_compute(grid, box, dtype, cells), t_end)
-
     if grid.sweep.reduce:
-        return block_values(grid, block, lambda box: values(grid.full, box))
-    return values(grid, block, cells)
+        return block_values(grid, block, lambda box: _variables(grid.full, box, dtype))
+    return _variables(grid, block, dtype, cells)
+
+
+def _variables(
+    grid: Grid, block: Block, dtype: str, cells: slice | np.ndarray = slice(None)
+) -> Values:
+    """The variables of the scenarios of a block, or of some of its cells."""
+    with _precision(dtype):
+        return values_of(*_compute(grid, block, dtype, cells), grid.sweep.time.t_end)
 
 
 def _precision(dtype: str) -> AbstractContextManager[None]:

@@ -14,7 +14,7 @@ from pathlib import Path
 import fic_jax
 from fic_jax.lanes.mapping import usable_cores
 from sweeps import runner
-from sweeps.provenance import IDENTITY, provenance
+from sweeps.provenance import IDENTITY, provenance, unlike
 from sweeps.spec.mistakes import SweepError
 from sweeps.store.commit import Writer
 from sweeps.store.fsync import PARTIAL
@@ -89,11 +89,7 @@ def unready(job: Job) -> str:
         mine = provenance(precision)
     except SweepError as error:
         return str(error)
-    return "; ".join(
-        f"its {key} is {mine[key] or 'none'}, not {made_by[key] or 'none'}"
-        for key in COMPARED
-        if mine[key] != made_by[key]
-    )
+    return "; ".join(f"its {what}" for what in unlike(COMPARED, mine, made_by))
 
 
 def _start_jax(platform: str, xla_flags: str, sharing: int) -> None:

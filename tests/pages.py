@@ -43,15 +43,15 @@ def opened(
     )
     page = context.new_page()
     page.set_default_timeout(WAIT)
-    failed, asked = [], []
+    failed, loaded = [], []
     page.on("pageerror", lambda error: failed.append(str(error)))
     if alone:
         page.on("console", lambda message: message.type == "error" and failed.append(message.text))
-    page.on("request", lambda request: asked.append(request.url))
+    page.on("request", lambda request: loaded.append(request.url))
     page.goto(link)
     ready(page)
     yield page
     context.close()
     assert [one for one in failed if not one.startswith(complaints)] == []
     if alone:
-        assert [url for url in asked if not url.startswith("data:")] == [link]
+        assert [url for url in loaded if not url.startswith("data:")] == [link]

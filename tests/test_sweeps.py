@@ -166,6 +166,8 @@ def test_a_mistake_is_one_line_below_the_callers_own(plan, tmp_path, monkeypatch
         assert str(caught.value) == unknown
     with pytest.raises(SweepError, match=r"^mine\.toml: there is no such file$"):
         sweeps.load("mine.toml")
+    (tmp_path / "plain").write_text('name = "plain"\n[axes]\nK0 = [1.0]')
+    assert sweeps.load("plain").name == "plain"  # a file may have any name
     sweeps.run(plan, "small.zarr")
     with pytest.raises(SweepError, match=r"^small\.zarr: was begun with another sweep") as caught:
         sweeps.run(plan.model_copy(update={"constants": {"Td": 7.0}}), "small.zarr")

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sweeps import LIBRARY, unknown
+from sweeps import LIBRARY, unknown_sweep
 from sweeps.cli.arguments import SweepName
 from sweeps.cli.errors import complain, refuse
 
@@ -70,7 +70,7 @@ def find(what: str) -> Path:
     if path.is_file() and os.path.isfile(f"{what}.toml"):
         complain(f"warning: {what} is the library's sweep; {what}.toml is the file in this folder")
     if not path.is_file():
-        raise unknown(what)
+        raise unknown_sweep(what)
     return path
 
 

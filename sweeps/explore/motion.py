@@ -62,7 +62,8 @@ class Motion:
         cell = float(self.metrics.nmse)
         if not abs(self.nmse - cell) > max(TRUST["nmse"].part * cell, TRUST["nmse"].floor):
             return ""
-        return f"This cell hangs on rounding: the drawn motion has nmse = {self.nmse:.6g}."
+        drawn = f"the drawn motion has nmse = {self.nmse:.6g}"
+        return f"The result of this cell depends on rounding: {drawn}."
 
 
 def motion(scenario: Scenario) -> Motion:

@@ -61,7 +61,7 @@ def _differences(store: Store, grid: Grid) -> Iterator[str]:
         return
     before, most = store.grid.most_runs, store.grid.cells
     if before == most:
-        yield f"the store's budget suffices for all its {most:,} cells: a larger one is no other."
+        yield f"the store may simulate all its {most:,} cells: a larger budget changes nothing."
     elif grid.most_runs <= before:
         yield f"the budget must be more than the store's {before:,}, but is {grid.most_runs:,}."
     elif not Counts.of(store).pending and BUDGET_LEVEL not in store.group.attrs:

@@ -43,7 +43,7 @@ class Wrong:
     places: frozenset[str] = frozenset()
 
     def any(self, *keys: str) -> bool:
-        """Whether one of some tables or keys has a wrong entry, or is one."""
+        """Whether a wrong entry lies in one of these tables, or is one of these entries."""
         return any(
             place == key or place.startswith(f"{key}.") for place in self.places for key in keys
         )

@@ -23,7 +23,7 @@ from sweeps.store.ledger import Ledger
 
 NAME = re.compile(r"simulated\.(\d{1,9})")
 CELLS = "cells"
-SHOWN = 100  # a flipped bit in the ledger may count a thousand million
+MOST_MISSING = 100  # that are named: a flipped bit in the ledger may count a thousand million
 _DIGEST = hashlib.sha256().digest_size
 
 Simulated = tuple[np.ndarray, dict[str, np.ndarray]]  # numbers of cells, variable -> its values
@@ -43,10 +43,10 @@ class Journal:
         return [file for _, file in sorted((int(m[1]), file) for m, file in found if m)]
 
     def missing(self) -> list[str]:
-        """The names of files that somebody has deleted, of the first SHOWN. Raises LedgerError."""
+        """The names of at most MOST_MISSING files that somebody has deleted. Raises LedgerError."""
         there = {file.name for file in self.files()}
         counted = (self._file(i + 1).name for i in range(self._count()))
-        return list(itertools.islice((name for name in counted if name not in there), SHOWN))
+        return list(itertools.islice((name for name in counted if name not in there), MOST_MISSING))
 
     def append(self, cells: np.ndarray, values: dict[str, np.ndarray]) -> None:
         """Add cells and their values. After the return a power cut loses none. Raises OSError."""

@@ -5,8 +5,6 @@ import re
 
 import pytest
 
-import sweeps
-from sweeps.spec.mistakes import SweepError
 from sweeps.spec.types import SpacedRange
 from tests.command import call, typed
 
@@ -105,15 +103,3 @@ def test_status_tells_neighbours_apart(folder):
     status = call("status", "tiny.zarr", code=0, folder=folder).stdout
     found = re.findall(r"^diverged  K0 ([\d.]+), Kenv 1e\+09$", status, re.MULTILINE)
     assert found == [f"{value:.8g}" for value in axis.values()]
-
-
-def test_a_misspelt_name_gets_a_hint_from_python_too(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    line = "paper-stifness: is no file and no sweep of the library; did you mean `paper-stiffness`?"
-    for read in (sweeps.load, sweeps.run):
-        with pytest.raises(SweepError, match=re.escape(line)):
-            read("paper-stifness")
-    with pytest.raises(SweepError, match="there is no such file"):
-        sweeps.load("nowhere.toml")
-    (tmp_path / "plain").write_text('name = "plain"\n[axes]\nK0 = [1.0]')
-    assert sweeps.load("plain").name == "plain"

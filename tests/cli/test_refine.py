@@ -186,7 +186,7 @@ def test_a_refined_store_is_neither_reduced_nor_extended(ran, monkeypatch):
     assert reduced.code == 2 and "most of its cells were not simulated" in reduced.stderr
     (ran[0] / "plain.toml").write_text(BEGIN)
     other = TABLE.replace("levels = 2", "levels = 3")
-    kept, enough = "`refine` must be as in the store", "the store's budget suffices for all its "
+    kept, enough = "`refine` must be as in the store", "the store may simulate all its "
     for table, why in (("", kept), (TABLE, enough), (other, kept)):
         (ran[0] / "more.toml").write_text(BEGIN + table)
         more = typed("resume", "border.zarr", "--extend", "more.toml")

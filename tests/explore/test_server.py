@@ -143,10 +143,10 @@ def test_there_are_at_most_so_many_pages(cube):
 
 def test_at_most_so_many_pictures_wait(link):
     with ThreadPoolExecutor(3 * server.MOST_PICTURES) as pool:
-        asked = [pool.submit(get, link, "/picture.png") for _ in range(3 * server.MOST_PICTURES)]
-    found = [one.result() for one in asked]
-    assert {status for status, _ in found} == {200, 503}
-    assert all("pictures wait" in body for status, body in found if status == 503)
+        requests = [pool.submit(get, link, "/picture.png") for _ in range(3 * server.MOST_PICTURES)]
+    answers = [request.result() for request in requests]
+    assert {status for status, _ in answers} == {200, 503}
+    assert all("pictures wait" in body for status, body in answers if status == 503)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,9 @@
 import itertools
 import re
 import shutil
+import signal
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -353,19 +355,26 @@ def test_a_box_is_computed_while_the_one_before_is_reduced(monkeypatch):
     assert len(computed) > 2
 
 
-def test_an_error_waits_for_no_other_box(monkeypatch):
-    """A box may take minutes."""
+def test_a_stop_waits_for_no_other_box(monkeypatch):
+    """A box may take minutes; the next one is in the queue by then."""
     computed = []
 
     def cells(box):
         computed.append(box)
-        raise ValueError("no number")
+        time.sleep(0.3)  # until both boxes are in the queue
+        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+        time.sleep(0.3)  # until the main thread has been interrupted
+        return {}
 
     monkeypatch.setattr(fold, "LARGEST_BLOCK", 5)
     plan = parse(ANY, "any.toml")
-    with pytest.raises(ValueError, match="no number"):
-        fold.block_values(Grid(plan, 100), next(Grid(plan, 100).blocks()), cells)
-    assert len(computed) <= 2  # the second may have begun before the first had failed
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            fold.block_values(Grid(plan, 100), next(Grid(plan, 100).blocks()), cells)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert len(computed) == 1
 
 
 def test_a_random_design_and_choices_are_reduced_by_name(tmp_path):

@@ -13,17 +13,18 @@ import xarray as xr
 
 from figures import choose, draw
 from sweeps import runner
+from sweeps.cli.messages import verification
 from sweeps.plan.grid import Grid
 from sweeps.plan.shard import Shard
 from sweeps.refine import rounds
 from sweeps.refine.budget import with_budget
 from sweeps.refine.rounds import WAIT
-from sweeps.spec.mistakes import SweepError
+from sweeps.spec.mistakes import SweepError, command
 from sweeps.spec.reading import parse
 from sweeps.store.commit import Writer
 from sweeps.store.extend import extend
 from sweeps.store.format import DIVERGED, FAILED, NEAR, NOT_RUN, OK
-from sweeps.store.journal import SHOWN, Journal
+from sweeps.store.journal import MOST_MISSING, Journal
 from sweeps.store.ledger import DONE, SET_ASIDE
 from sweeps.store.opening import Counts, dataset, open_store
 from sweeps.store.verify import verify
@@ -344,9 +345,12 @@ def test_a_damaged_journal_is_named_and_its_cells_are_simulated_again(
     flip(files[1], 5000)
     files[2].write_bytes(b"")
     shutil.copy(files[0], path / "simulated.7")  # the same cells twice
-    (problem, other) = verify(path).problems
+    report = verify(path)
+    (problem, other) = report.problems
     assert (problem.what, other.what) == ("simulated.2", "simulated.3")
     assert "a run simulates its cells again" in problem.how
+    *_, advice = verification(path, report)
+    assert advice == f"  {report.planned} blocks still to run: {command('resume', path)} does"
     assert 0 < Counts.of(store).done < before + 25
     runner.run(open_store(path), quiet)
     assert contents(path) == contents(quick)
@@ -355,7 +359,7 @@ def test_a_damaged_journal_is_named_and_its_cells_are_simulated_again(
 def test_a_flipped_bit_in_the_count_of_a_journal_makes_no_endless_list(tmp_path):
     store = runner.start(tmp_path / "a.zarr", QUICK, 60, 32)
     store.ledger.count_files(2**30)
-    assert len(store.journal.missing()) == SHOWN
+    assert len(store.journal.missing()) == MOST_MISSING
 
 
 @pytest.mark.parametrize("deleted", [(1,), (2, 4), (4,), (1, 2, 3, 4)])
@@ -470,7 +474,7 @@ def test_a_larger_budget_goes_on(tmp_path, quick, each_batch, monkeypatch, simul
 def test_what_is_no_larger_budget(memory, quick):
     store = open_store(quick)
     for plan, line in (
-        (QUICK, "the store's budget suffices for all its 561 cells: a larger one is no other."),
+        (QUICK, "the store may simulate all its 561 cells: a larger budget changes nothing."),
         (with_refine(QUICK, levels=2), "`refine` must be as in the store"),
         (QUICK.model_copy(update={"metrics": ["nmse"]}), "`metrics` must be as in the store"),
         (QUICK.model_copy(update={"precision": 64}), "`precision` must be that of the store, 32."),
